@@ -1,0 +1,21 @@
+// Strided images over raw memory: what tier 3 hands to the kernels.
+#pragma once
+
+#include <cstdint>
+
+namespace fisheyerec {
+
+enum class ScalarType : int32_t { uint8, int16, int32, int64, float16, bfloat16, float32, float64 };
+
+// A (batch, channels, height, width) image. Strides count elements and may be negative or, for the batch, zero.
+struct Image {
+  void* data;
+  ScalarType type;
+  int64_t batch, channels, height, width;
+  int64_t stride_batch, stride_channel, stride_y, stride_x;
+
+  // Channels of one pixel side by side (channels_last, HWC), so that loops run over channels.
+  bool interleaved() const { return stride_channel == 1 && channels > 1; }
+};
+
+}  // namespace fisheyerec

@@ -1,0 +1,56 @@
+// The public face of tier 2: resample an image from one camera into another, and its adjoint.
+//
+// Every function writes all of its output, allocates nothing proportional to an image, and gives the same bits for
+// any number of threads. Callers guarantee that shapes match and that pointers cover what the strides reach.
+#pragma once
+
+#include "image.h"
+
+namespace fisheyerec {
+
+enum class CameraModel : int32_t { pinhole, kannala_brandt };
+enum class Interpolation : int32_t { nearest, bilinear };
+enum class Padding : int32_t { zeros, border };
+
+constexpr int parameter_count(CameraModel model) { return model == CameraModel::pinhole ? 4 : 8; }
+
+// One camera per image of the batch; stride 0 repeats one camera for all.
+struct Cameras {
+  CameraModel model;
+  const double* params;
+  int64_t stride;
+};
+
+struct Resampling {
+  Cameras source, target;
+  const double* source_from_target;  // row-major 3x3 rotations, or null
+  int64_t rotation_stride;           // 9, or 0 to repeat one rotation
+  Interpolation interpolation;
+  Padding padding;
+  int threads;
+};
+
+// target = source seen through the target camera. valid (batch, height, width) is 1 where the target pixel's ray
+// meets the source image within the source lens' monotonic range. Nearest takes any type; bilinear all but int16 to
+// int64.
+void resample(const Resampling& resampling, const Image& source, const Image& target, uint8_t* valid);
+
+// Outgoing gradients of one backward call; null where nobody asked.
+struct Gradients {
+  const Image* source;         // the source image's shape, float64 for a float64 source, else float32; any strides
+  double* source_params;       // (batch, 8 or 4)
+  double* target_params;       // (batch, 8 or 4)
+  double* source_from_target;  // (batch, 9)
+};
+
+void resample_backward(const Resampling& resampling, const Image& source, const Image& grad_target,
+                       const Gradients& gradients);
+
+// Points through a single camera, in double: rays (count, 3) to pixels (count, 2) and back, valid (count).
+void project(const Cameras& camera, const double* rays, int64_t count, double* pixels, uint8_t* valid);
+void unproject(const Cameras& camera, const double* pixels, int64_t count, double* rays, uint8_t* valid);
+
+// The largest theta that a Kannala-Brandt lens with these k1..k4 maps without folding.
+double kannala_brandt_theta_max(const double k[4]);
+
+}  // namespace fisheyerec

@@ -1,0 +1,128 @@
+// The three loops of the op over rows of one image of the batch. This header is compiled once per instruction set
+// (rows_*.cpp), everything in it and below it within that set's own namespace.
+#pragma once
+
+#include "rows_table.h"
+#include "sample.h"
+
+namespace fisheyerec {
+inline namespace FISHEYEREC_ISA {
+
+template <class D>
+D* pixels(const Image& image, int64_t batch, int64_t row = 0, int64_t column = 0) {
+  return static_cast<D*>(image.data) + batch * image.stride_batch + row * image.stride_y + column * image.stride_x;
+}
+
+// Calls visit with a null pointer of the storage type of pixels that are computed in T.
+template <class T, class Visit>
+void with_storage(ScalarType type, const Visit& visit) {
+  if constexpr (sizeof(T) == 8) {
+    visit(static_cast<double*>(nullptr));
+  } else {
+    switch (type) {
+      case ScalarType::uint8: return visit(static_cast<uint8_t*>(nullptr));
+      case ScalarType::float16: return visit(static_cast<Float16*>(nullptr));
+      case ScalarType::bfloat16: return visit(static_cast<BFloat16*>(nullptr));
+      default: return visit(static_cast<float*>(nullptr));
+    }
+  }
+}
+
+// Calls visit with a null pointer of an unsigned integer as wide as `type`.
+template <class Visit>
+void with_bytes(ScalarType type, const Visit& visit) {
+  switch (type) {
+    case ScalarType::uint8: return visit(static_cast<uint8_t*>(nullptr));
+    case ScalarType::int16:
+    case ScalarType::float16:
+    case ScalarType::bfloat16: return visit(static_cast<uint16_t*>(nullptr));
+    case ScalarType::int32:
+    case ScalarType::float32: return visit(static_cast<uint32_t*>(nullptr));
+    case ScalarType::int64:
+    case ScalarType::float64: return visit(static_cast<uint64_t*>(nullptr));
+  }
+}
+
+// Walks the target rows in runs, with each run's coordinates and taps at hand: visit(row, column, count).
+template <class T, class Visit>
+FISHEYEREC_INLINE void for_each_run(int64_t width, int64_t row_begin, int64_t row_end, const Visit& visit) {
+  for (int64_t row = row_begin; row < row_end; ++row) {
+    for (int64_t column = 0; column < width; column += run_length) {
+      visit(row, column, static_cast<int>(width - column < run_length ? width - column : run_length));
+    }
+  }
+}
+
+template <class T>
+void forward_rows(const ForwardJob<T>& job, int64_t batch, int64_t row_begin, int64_t row_end) {
+  const Image &source = job.source, &target = job.target;
+  alignas(64) T x[run_length], y[run_length];
+  Taps<T> taps;
+  const auto run = [&](auto* storage, auto sample) {
+    using D = std::remove_pointer_t<decltype(storage)>;
+    for_each_run<T>(target.width, row_begin, row_end, [&](int64_t row, int64_t column, int count) {
+      map_run(job.geometries[batch], row, column, count, x, y);
+      take_taps(source, job.interpolation, job.padding, count, x, y, taps);
+      uint8_t* valid = job.valid + (batch * target.height + row) * target.width + column;
+      for (int i = 0; i < count; ++i) {
+        valid[i] = inside(x[i], static_cast<T>(source.width)) && inside(y[i], static_cast<T>(source.height));
+      }
+      sample(source, pixels<D>(source, batch), taps, count, target, pixels<D>(target, batch, row, column));
+    });
+  };
+  if (job.interpolation == Interpolation::nearest) {
+    with_bytes(source.type, [&](auto* storage) { run(storage, [](auto&&... args) { copy_run(args...); }); });
+  } else {
+    with_storage<T>(source.type, [&](auto* storage) { run(storage, [](auto&&... args) { sample_run(args...); }); });
+  }
+}
+
+template <class T>
+void backward_coordinate_rows(const BackwardJob<T>& job, int64_t batch, int64_t row_begin, int64_t row_end) {
+  const Image &source = job.source, &grad_target = job.grad_target;
+  alignas(64) T x[run_length], y[run_length];
+  Taps<T> taps;
+  with_storage<T>(source.type, [&](auto* storage) {
+    using D = std::remove_pointer_t<decltype(storage)>;
+    for_each_run<T>(grad_target.width, row_begin, row_end, [&](int64_t row, int64_t column, int count) {
+      map_run(job.geometries[batch], row, column, count, x, y);
+      take_taps(source, job.interpolation, job.padding, count, x, y, taps);
+      alignas(64) T grad_x[run_length] = {}, grad_y[run_length] = {};
+      sample_run_adjoint_coordinates(source, pixels<const D>(source, batch), taps, count, grad_target,
+                                     pixels<const D>(grad_target, batch, row, column), grad_x, grad_y);
+      map_run_adjoint(job.geometries[batch], row, column, count, grad_x, grad_y, job.want_target,
+                      job.row_gradients[batch * grad_target.height + row]);
+    });
+  });
+}
+
+template <class T>
+void backward_image_rows(const BackwardJob<T>& job, int64_t batch, int64_t row_begin, int64_t row_end) {
+  const Image &source = job.source, &grad_target = job.grad_target, &grad_source = *job.grad_source;
+  for (int64_t c = 0; c < grad_source.channels; ++c) {
+    for (int64_t row = row_begin; row < row_end; ++row) {
+      T* out = pixels<T>(grad_source, batch, row) + c * grad_source.stride_channel;
+      for (int64_t column = 0; column < grad_source.width; ++column) out[column * grad_source.stride_x] = 0;
+    }
+  }
+  alignas(64) T x[run_length], y[run_length];
+  Taps<T> taps;
+  with_storage<T>(source.type, [&](auto* storage) {
+    using D = std::remove_pointer_t<decltype(storage)>;
+    for_each_run<T>(grad_target.width, 0, grad_target.height, [&](int64_t row, int64_t column, int count) {
+      map_run(job.geometries[batch], row, column, count, x, y);
+      take_taps(grad_source, job.interpolation, job.padding, count, x, y, taps);
+      sample_run_adjoint_image(grad_source, pixels<T>(grad_source, batch), taps, count, grad_target,
+                               pixels<const D>(grad_target, batch, row, column), static_cast<int>(row_begin),
+                               static_cast<int>(row_end));
+    });
+  });
+}
+
+template <class T>
+constexpr RowKernels<T> row_kernels() {
+  return {forward_rows<T>, backward_coordinate_rows<T>, backward_image_rows<T>};
+}
+
+}  // namespace FISHEYEREC_ISA
+}  // namespace fisheyerec

@@ -1,0 +1,44 @@
+// What resample.cpp asks of one instruction set, and the sets there are.
+#pragma once
+
+#include "map.h"
+
+namespace fisheyerec {
+
+template <class T>
+struct ForwardJob {
+  const Geometry<T>* geometries;  // one per image of the batch
+  Image source, target;
+  uint8_t* valid;
+  Interpolation interpolation;
+  Padding padding;
+};
+
+template <class T>
+struct BackwardJob {
+  const Geometry<T>* geometries;
+  Image source, grad_target;
+  const Image* grad_source;         // pixels of type T, or null
+  GeometryGradient* row_gradients;  // (batch, target height)
+  bool want_target;                 // also the target camera's and the rotation's gradients
+  Interpolation interpolation;
+  Padding padding;
+};
+
+template <class T>
+struct RowKernels {
+  void (*forward)(const ForwardJob<T>&, int64_t batch, int64_t row_begin, int64_t row_end);
+  // Rows of the target: adds to row_gradients.
+  void (*backward_coordinates)(const BackwardJob<T>&, int64_t batch, int64_t row_begin, int64_t row_end);
+  // Rows of the source, each owned by one call: writes grad_source there.
+  void (*backward_image)(const BackwardJob<T>&, int64_t batch, int64_t row_begin, int64_t row_end);
+};
+
+struct InstructionSet {
+  RowKernels<float> float_rows;
+  RowKernels<double> double_rows;
+};
+
+extern const InstructionSet baseline;
+
+}  // namespace fisheyerec

@@ -1,0 +1,132 @@
+// Tier 3 for NumPy: arrays in and out of tier 2 by pybind11. Imports no torch.
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "../kernels/parallel.h"
+#include "../kernels/resample.h"
+
+namespace py = pybind11;
+using DoubleArray = py::array_t<double, py::array::c_style | py::array::forcecast>;
+
+namespace {
+
+fisheyerec::CameraModel camera_model(const std::string& name) {
+  if (name == "pinhole") return fisheyerec::CameraModel::pinhole;
+  if (name == "kannala_brandt") return fisheyerec::CameraModel::kannala_brandt;
+  throw py::value_error("expected a camera model pinhole or kannala_brandt, got " + name);
+}
+
+fisheyerec::Cameras as_camera(const std::string& model, const DoubleArray& params) {
+  const fisheyerec::CameraModel camera = camera_model(model);
+  if (params.ndim() != 1 || params.shape(0) != parameter_count(camera)) {
+    throw py::value_error("expected " + std::to_string(parameter_count(camera)) + " parameters of a " + model +
+                          " camera");
+  }
+  return {camera, params.data(), 0};
+}
+
+fisheyerec::ScalarType scalar_type(const py::array& array) {
+  using fisheyerec::ScalarType;
+  const char kind = array.dtype().kind();
+  const auto size = array.dtype().itemsize();
+  const bool integral = kind == 'i' || kind == 'u' || kind == 'b';
+  if (!array.dtype().attr("isnative").cast<bool>()) throw py::value_error("expected an image in native byte order");
+  if (kind == 'f' && size == 2) return ScalarType::float16;
+  if (kind == 'f' && size == 4) return ScalarType::float32;
+  if (kind == 'f' && size == 8) return ScalarType::float64;
+  if (integral && size == 1) return ScalarType::uint8;
+  if (integral && size == 2) return ScalarType::int16;
+  if (integral && size == 4) return ScalarType::int32;
+  if (integral && size == 8) return ScalarType::int64;
+  throw py::value_error("expected an image of bool, integers, float16, float32 or float64");
+}
+
+// A (height, width, channels) array; tier 2 takes its strides as they are, negative ones too.
+fisheyerec::Image as_image(const py::array& array) {
+  const auto stride = [&](int axis) {
+    if (array.strides(axis) % array.itemsize() != 0) throw py::value_error("expected strides of whole elements");
+    return static_cast<int64_t>(array.strides(axis) / array.itemsize());
+  };
+  return {const_cast<void*>(array.data()),
+          scalar_type(array),
+          1,
+          array.shape(2),
+          array.shape(0),
+          array.shape(1),
+          0,
+          stride(2),
+          stride(0),
+          stride(1)};
+}
+
+py::tuple resample(const py::array& image, const std::string& source_model, const DoubleArray& source,
+                   const std::string& target_model, const DoubleArray& target,
+                   const std::optional<DoubleArray>& source_from_target, int64_t height, int64_t width,
+                   const std::string& interpolation, const std::string& padding, int threads) {
+  if (image.ndim() != 3 || image.shape(0) < 1 || image.shape(1) < 1 || image.shape(0) > INT32_MAX ||
+      image.shape(1) > INT32_MAX) {
+    throw py::value_error("expected an image (height, width, channels) with pixels");
+  }
+  if (height < 1 || width < 1 || height > INT32_MAX || width > INT32_MAX) {
+    throw py::value_error("expected a height and width in [1, 2^31)");
+  }
+  if (interpolation != "bilinear" && interpolation != "nearest")
+    throw py::value_error("unknown interpolation " + interpolation);
+  if (padding != "zeros" && padding != "border") throw py::value_error("unknown padding " + padding);
+  const fisheyerec::Image input = as_image(image);
+  const bool nearest = interpolation == "nearest";
+  const char kind = image.dtype().kind();
+  if (!nearest && kind != 'f' && !(kind == 'u' && image.itemsize() == 1)) {
+    throw py::value_error("bilinear expects a floating or uint8 image; use nearest for labels");
+  }
+  if (source_from_target && source_from_target->size() != 9) throw py::value_error("expected a rotation (3, 3)");
+  py::array out(image.dtype(), std::vector<py::ssize_t>{height, width, image.shape(2)});
+  py::array_t<bool> valid({height, width});
+  const fisheyerec::Image output = as_image(out);
+  uint8_t* valid_data = reinterpret_cast<uint8_t*>(valid.mutable_data());
+  const fisheyerec::Resampling resampling{
+      as_camera(source_model, source),
+      as_camera(target_model, target),
+      source_from_target ? source_from_target->data() : nullptr,
+      0,
+      nearest ? fisheyerec::Interpolation::nearest : fisheyerec::Interpolation::bilinear,
+      padding == "zeros" ? fisheyerec::Padding::zeros : fisheyerec::Padding::border,
+      threads > 0 ? threads : fisheyerec::default_thread_count()};
+  {
+    py::gil_scoped_release release;
+    fisheyerec::resample(resampling, input, output, valid_data);
+  }
+  return py::make_tuple(out, valid);
+}
+
+using PointKernel = void (*)(const fisheyerec::Cameras&, const double*, int64_t, double*, uint8_t*);
+
+template <PointKernel kernel, int in_size, int out_size>
+py::tuple transform(const std::string& model, const DoubleArray& params, const DoubleArray& points) {
+  if (points.ndim() != 2 || points.shape(1) != in_size) {
+    throw py::value_error("expected an array (N, " + std::to_string(in_size) + ")");
+  }
+  const fisheyerec::Cameras camera = as_camera(model, params);
+  py::array_t<double> out({points.shape(0), static_cast<py::ssize_t>(out_size)});
+  py::array_t<bool> valid(points.shape(0));
+  kernel(camera, points.data(), points.shape(0), out.mutable_data(), reinterpret_cast<uint8_t*>(valid.mutable_data()));
+  return py::make_tuple(out, valid);
+}
+
+}  // namespace
+
+PYBIND11_MODULE(_numpy, m) {
+  m.doc() = "The resampling kernels on NumPy arrays; fisheyerec.numpy is the public face.";
+  m.def("resample", &resample);
+  m.def("project", &transform<fisheyerec::project, 3, 2>);
+  m.def("unproject", &transform<fisheyerec::unproject, 2, 3>);
+  m.def("theta_max", [](const DoubleArray& k) {
+    if (k.ndim() != 1 || k.shape(0) != 4) throw py::value_error("expected k1..k4");
+    return fisheyerec::kannala_brandt_theta_max(k.data());
+  });
+}

@@ -1,0 +1,56 @@
+"""Checks of what users pass to the op, in their words, shared by the torch and the NumPy door."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from .cameras import Camera
+
+INTERPOLATIONS = ("bilinear", "nearest")
+PADDINGS = ("zeros", "border")
+
+
+class Names(NamedTuple):
+    """How a public function calls the op's three main arguments."""
+
+    function: str
+    image: str
+    source: str
+    target: str
+
+
+RECTIFY = Names("rectify", "image", "camera", "view")
+DISTORT = Names("distort", "picture", "view", "camera")
+RESAMPLE = Names("resample", "image", "source", "target")
+
+
+def check_options(function: str, interpolation: str, padding: str) -> None:
+    """Raise ValueError unless both names are known."""
+    if interpolation not in INTERPOLATIONS:
+        raise ValueError(f"{function}(): expected interpolation in {INTERPOLATIONS}, got {interpolation!r}")
+    if padding not in PADDINGS:
+        raise ValueError(f"{function}(): expected padding in {PADDINGS}, got {padding!r}")
+
+
+def check_camera(function: str, name: str, camera: Any) -> None:
+    """Raise TypeError unless this is a camera."""
+    if not isinstance(camera, Camera):
+        raise TypeError(f"{function}(): expected {name} as a camera, got {type(camera).__name__}")
+
+
+def check_size(names: Names, size: tuple[int, ...], source: Camera) -> None:
+    """Raise ValueError unless the image is of the size that its camera was calibrated for."""
+    if size != source.image_size:
+        raise ValueError(
+            f"{names.function}(): expected {names.image} of the size of {names.source}, {source.image_size}, got "
+            f"{size}; {names.source}.resize() gives the camera of a resized picture"
+        )
+
+
+def check_interpolates(names: Names, interpolates: bool, interpolation: str, dtype: object) -> None:
+    """Raise ValueError where a dtype of labels meets an interpolation that would mix them."""
+    if not interpolates and interpolation != "nearest":
+        raise ValueError(
+            f"{names.function}(): expected {names.image} of a floating dtype or uint8 for {interpolation}, "
+            f"got {dtype}; labels want interpolation='nearest'"
+        )

@@ -1,0 +1,256 @@
+"""The op for users of torch: rectify, its mirror distort, and the layer of the paper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from . import _ops
+from ._arguments import (
+    DISTORT,
+    RECTIFY,
+    RESAMPLE,
+    Names,
+    check_camera,
+    check_interpolates,
+    check_options,
+    check_size,
+)
+from .cameras import Camera, FisheyeCamera
+
+
+@dataclass(frozen=True, repr=False)
+class Rectification:
+    """A resampled picture and what it was made with."""
+
+    image: Tensor
+    """(B, C, h, w), of the input's dtype and memory format."""
+    valid: Tensor
+    """(B, 1, h, w) bool: where the view meets the source picture within the lens' range."""
+    camera: Camera
+    """The fisheye camera."""
+    view: Camera
+    """The view."""
+
+    def __repr__(self) -> str:
+        image, valid = self.image, self.valid
+        return (
+            f"Rectification(image={tuple(image.shape)} {image.dtype} on {image.device}, valid={tuple(valid.shape)}, "
+            f"camera={self.camera!r}, view={self.view!r})"
+        )
+
+
+def rectify(
+    image: Tensor,
+    camera: FisheyeCamera,
+    view: Camera,
+    *,
+    rotation: Tensor | None = None,
+    interpolation: str = "bilinear",
+    padding: str = "zeros",
+) -> Rectification:
+    """Show a fisheye picture as another view sees it: the paper's rectification layer (Eqs. 3, 4).
+
+    Differentiable in image, camera.params, view.params and rotation. Equivalent to `reference.resample`, without ever
+    holding a sampling grid.
+
+    Args:
+        image: (B, C, H, W), float64, float32, bfloat16, float16 or uint8; nearest takes any integer too.
+            B = 1 is repeated for a batch of cameras or views.
+        camera: the fisheye camera, of image size (H, W); one, or one for each image.
+        view: the view to make, of image size (h, w); one, or one for each image.
+        rotation: (3, 3) or (B, 3, 3), camera_from_view: turns the view's rays into the camera's frame (pan, tilt, roll).
+        interpolation: "bilinear" or "nearest" (labels).
+        padding: what lies outside the picture: "zeros" or "border".
+
+    Returns:
+        A Rectification; rays beyond the lens' monotonic range are 0 in its image and False in its mask.
+
+    Raises:
+        TypeError: an argument of another type.
+        ValueError: another shape, dtype or name, or an integer image that requires gradients.
+    """
+    out, valid = _resample(RECTIFY, image, camera, view, rotation, interpolation, padding)
+    return Rectification(out, valid, camera, view)
+
+
+def distort(
+    picture: Tensor,
+    view: Camera,
+    camera: FisheyeCamera,
+    *,
+    rotation: Tensor | None = None,
+    interpolation: str = "bilinear",
+    padding: str = "zeros",
+) -> Rectification:
+    """Show a picture as a fisheye camera would have taken it, the mirror of `rectify`.
+
+    Args:
+        picture: (B, C, h, w), as `image` of `rectify`.
+        view: the camera that took the picture, of image size (h, w).
+        camera: the fisheye camera to imitate.
+        rotation: (3, 3) or (B, 3, 3), camera_from_view, as in `rectify`.
+        interpolation: "bilinear" or "nearest" (labels).
+        padding: what lies outside the picture: "zeros" or "border".
+
+    Returns:
+        A Rectification that holds the fisheye picture (B, C, H, W) and its mask.
+
+    Raises:
+        TypeError, ValueError: as `rectify`.
+    """
+    view_from_camera = None if rotation is None else rotation.transpose(-1, -2)
+    out, valid = _resample(DISTORT, picture, view, camera, view_from_camera, interpolation, padding)
+    return Rectification(out, valid, camera, view)
+
+
+def resample(
+    image: Tensor,
+    source: Camera,
+    target: Camera,
+    *,
+    source_from_target: Tensor | None = None,
+    interpolation: str = "bilinear",
+    padding: str = "zeros",
+) -> tuple[Tensor, Tensor]:
+    """Resample images from any camera into any other: the one op behind `rectify` and `distort`.
+
+    Args:
+        image: (B, C, H, W).
+        source: the camera that took the image; one, or one for each image.
+        target: the camera to see it through; one, or one for each image.
+        source_from_target: (3, 3) or (B, 3, 3) rotation of the target's rays into the source's frame.
+        interpolation: "bilinear" or "nearest".
+        padding: "zeros" or "border".
+
+    Returns:
+        image (B, C, h, w), and valid (B, 1, h, w) bool.
+
+    Raises:
+        TypeError, ValueError: as `rectify`.
+    """
+    return _resample(RESAMPLE, image, source, target, source_from_target, interpolation, padding)
+
+
+def _resample(
+    names: Names,
+    image: Tensor,
+    source: Camera,
+    target: Camera,
+    source_from_target: Tensor | None,
+    interpolation: str,
+    padding: str,
+) -> tuple[Tensor, Tensor]:
+    function = names.function
+    if not isinstance(image, Tensor):
+        raise TypeError(
+            f"{function}(): expected {names.image} as a torch.Tensor, got {type(image).__name__}; "
+            "fisheyerec.numpy takes NumPy arrays"
+        )
+    if image.ndim != 4 or image.is_complex():
+        raise ValueError(
+            f"{function}(): expected {names.image} of shape (B, C, H, W) and a real dtype, "
+            f"got {tuple(image.shape)} {image.dtype}"
+        )
+    check_options(function, interpolation, padding)
+    check_interpolates(names, image.is_floating_point() or image.dtype == torch.uint8, interpolation, image.dtype)
+    check_camera(function, names.source, source)
+    check_camera(function, names.target, target)
+    check_size(names, tuple(image.shape[-2:]), source)
+    parameters: dict[str, Tensor] = {
+        f"{names.source}.params": _rows(source.params),
+        f"{names.target}.params": _rows(target.params),
+    }
+    if source_from_target is not None:
+        parameters["rotation"] = _rotations(function, source_from_target)
+    batch = image.shape[0]
+    for name, tensor in parameters.items():
+        if tensor.shape[0] not in (1, batch):
+            if batch != 1:
+                shape = ", ".join(["B", *map(str, tensor.shape[1:])])
+                raise ValueError(
+                    f"{function}(): expected {name} of shape ({shape}) with B = {batch} (the {names.image} batch), "
+                    f"got {tuple(tensor.shape)}"
+                )
+            batch = tensor.shape[0]
+    if batch != image.shape[0]:
+        image = image.expand(batch, -1, -1, -1)
+    source_params, target_params = list(parameters.values())[:2]
+    return _ops.resample(
+        image,
+        source_params,
+        target_params,
+        parameters.get("rotation"),
+        source.model,
+        target.model,
+        *target.image_size,
+        interpolation,
+        padding,
+    )
+
+
+def _rows(params: Any) -> Tensor:
+    tensor: Tensor = torch.as_tensor(params)
+    return tensor if tensor.ndim == 2 else tensor[None]
+
+
+def _rotations(function: str, rotation: Any) -> Tensor:
+    if not isinstance(rotation, Tensor):
+        raise TypeError(f"{function}(): expected rotation as a torch.Tensor, got {type(rotation).__name__}")
+    if rotation.ndim not in (2, 3) or tuple(rotation.shape[-2:]) != (3, 3) or not rotation.is_floating_point():
+        raise ValueError(
+            f"{function}(): expected rotation of shape (3, 3) or (B, 3, 3) and a floating dtype, "
+            f"got {tuple(rotation.shape)} {rotation.dtype}"
+        )
+    return rotation if rotation.ndim == 3 else rotation[None]
+
+
+class DistortionRectification(nn.Module):
+    """The paper's distortion rectification layer: `layer(image, params)` -> (B, C, h, w).
+
+    No state of its own. Where view.params is an `nn.Parameter`, the layer owns it and the view is learnt too.
+
+    Args:
+        view: the view that every picture is rectified into.
+        interpolation: "bilinear" or "nearest".
+        padding: "zeros" or "border".
+
+    Raises:
+        TypeError: view is not a camera.
+        ValueError: unknown interpolation or padding.
+    """
+
+    def __init__(self, view: Camera, *, interpolation: str = "bilinear", padding: str = "zeros") -> None:
+        super().__init__()
+        check_camera("DistortionRectification", "view", view)
+        check_options("DistortionRectification", interpolation, padding)
+        self.view_type, self.view_size = type(view), view.image_size
+        # Not a buffer: half() and bfloat16() of the model would round the focal length by pixels.
+        self.view_params = torch.as_tensor(view.params)
+        self.interpolation, self.padding = interpolation, padding
+
+    @property
+    def view(self) -> Camera:
+        """The view that pictures are rectified into."""
+        return self.view_type(self.view_params, self.view_size)
+
+    def forward(self, image: Tensor, params: Tensor, rotation: Tensor | None = None) -> Tensor:
+        """Rectify a batch.
+
+        Args:
+            image: (B, C, H, W).
+            params: (B, 8) or (8,): fx, fy, cx, cy, k1..k4 of the fisheye camera, for pictures of the size of image.
+            rotation: (3, 3) or (B, 3, 3) camera_from_view, as in `rectify`.
+
+        Returns:
+            (B, C, h, w).
+        """
+        camera = FisheyeCamera(params, (image.shape[-2], image.shape[-1]))
+        return _resample(RECTIFY, image, camera, self.view, rotation, self.interpolation, self.padding)[0]
+
+    def extra_repr(self) -> str:
+        """Show the view and the options."""
+        return f"view={self.view!r}, interpolation={self.interpolation!r}, padding={self.padding!r}"
