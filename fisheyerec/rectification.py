@@ -58,11 +58,11 @@ def rectify(
     holding a sampling grid.
 
     Args:
-        image: (B, C, H, W), float64, float32, bfloat16, float16 or uint8; nearest takes any integer too.
+        image: (B, C, H, W), float64, float32, bfloat16, float16 or uint8; nearest takes integers too.
             B = 1 is repeated for a batch of cameras or views.
         camera: the fisheye camera, of image size (H, W); one, or one for each image.
         view: the view to make, of image size (h, w); one, or one for each image.
-        rotation: (3, 3) or (B, 3, 3), camera_from_view: turns the view's rays into the camera's frame (pan, tilt, roll).
+        rotation: (3, 3) or (B, 3, 3), camera_from_view: turns the view's rays into the camera's frame.
         interpolation: "bilinear" or "nearest" (labels).
         padding: what lies outside the picture: "zeros" or "border".
 

@@ -19,7 +19,7 @@ struct KannalaBrandt {
   T fx, fy, cx, cy, k1, k2, k3, k4;
   T theta_max;              // in [0, pi]
   T theta_d_max;            // theta_d(theta_max)
-  T knots[knot_count + 1];  // theta where theta_d = theta_d_max (1 - q^2), q = 1 - i / knot_count
+  T knots[knot_count + 1];  // theta at even steps of table_position()
 
   static KannalaBrandt make(const double* params);
 
@@ -38,28 +38,36 @@ struct KannalaBrandt {
     bool converged;
   };
 
+  // Where `distance` = theta_d lies in the table, in [0, knot_count]. Even steps of this position are short steps of
+  // theta everywhere: the fraction keeps high polynomials, whose theta_d explodes towards pi, from crowding the
+  // picture into the first cell, and theta is smooth in the square root even at a theta_max where the slope vanishes.
+  FISHEYEREC_INLINE static T table_position(T distance, T theta_d_max) {
+    const T rest = (theta_d_max - distance) / ((1 + distance) * theta_d_max);  // 1 at distance 0, 0 at theta_d_max
+    return (1 - std::sqrt(rest)) * knot_count;
+  }
+
   // theta with theta_d(theta) = distance, for distance in [0, theta_d_max]; converged is false elsewhere.
-  // Newton from a table: a fixed count of steps, so that pixels can share vector instructions. theta is smooth in
-  // q = sqrt(1 - theta_d / theta_d_max) even at a theta_max where the derivative vanishes, so the table is even in q.
+  // Newton from the table, bisecting where it would leave its bracket. A fixed count of steps, so that pixels can
+  // share vector instructions.
   FISHEYEREC_INLINE Inverse theta_from_theta_d(T distance) const {
-    constexpr int newton_steps = sizeof(T) == 8 ? 4 : 2;
+    constexpr int steps = sizeof(T) == 8 ? 8 : 3;
     const bool in_range = distance >= 0 && distance <= theta_d_max && theta_d_max > 0;
-    const T q = in_range ? std::sqrt(1 - distance / theta_d_max) : T(1);
-    const T position = (1 - q) * knot_count;
+    const T position = in_range ? table_position(distance, theta_d_max) : T(0);
     const int whole = static_cast<int>(position);
     const int cell = whole < knot_count ? whole : knot_count - 1;
-    const T low = knots[cell], high = knots[cell + 1];
+    T low = knots[cell], high = knots[cell + 1];
     T theta = low + (high - low) * (position - static_cast<T>(cell));
-    for (int step = 0; step < newton_steps; ++step) {
-      const T slope = theta_d_derivative(theta);
-      T next = theta - (theta_d(theta) - distance) / slope;
-      next = next > low ? next : low;  // also where the slope is 0 and `next` is NaN
-      theta = next < high ? next : high;
+    for (int step = 0; step < steps; ++step) {
+      const T residual = theta_d(theta) - distance;
+      low = residual < 0 ? theta : low;
+      high = residual < 0 ? high : theta;
+      const T next = theta - residual / theta_d_derivative(theta);
+      theta = next >= low && next <= high ? next : (low + high) / 2;
     }
     const T residual = theta_d(theta) - distance;
     // At the rim the slope is 0 and theta itself is only known to the square root of epsilon; what counts is where
     // the ray lands.
-    const T tolerance = 16 * std::numeric_limits<T>::epsilon() * (1 + theta_d_max);
+    const T tolerance = 16 * std::numeric_limits<T>::epsilon() * (1 + distance);
     return {theta, in_range && residual <= tolerance && -residual <= tolerance};
   }
 
@@ -211,8 +219,8 @@ KannalaBrandt<T> KannalaBrandt<T>::make(const double* p) {
   camera.knots[knot_count] = camera.theta_max;
   double low = 0;  // Newton kept inside a bracket by bisection; it starts where the last knot was found
   for (int i = 1; i < knot_count; ++i) {
-    const double q = 1 - static_cast<double>(i) / knot_count;
-    const double distance = exact.theta_d_max * (1 - q * q);
+    const double q = 1 - static_cast<double>(i) / knot_count;  // table_position(distance) = i, solved for distance
+    const double distance = exact.theta_d_max * (1 - q * q) / (1 + q * q * exact.theta_d_max);
     double high = exact.theta_max, theta = low;
     for (int step = 0; step < 60; ++step) {
       const double residual = exact.theta_d(theta) - distance;

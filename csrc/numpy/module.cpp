@@ -1,6 +1,7 @@
 // Tier 3 for NumPy: arrays in and out of tier 2 by pybind11. Imports no torch.
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
 
 #include <optional>
 #include <stdexcept>
