@@ -10,7 +10,7 @@ KERNELS = sorted(str(path) for path in Path("csrc/kernels").glob("*.cpp"))
 
 # No -ffast-math: NaN must stay NaN. These two only give up errno and floating point traps, which nobody reads, and
 # let the compiler turn branches into selects.
-FLAGS = ["-O3", "-fno-math-errno", "-fno-trapping-math", "-fopenmp", "-fvisibility=hidden"]
+FLAGS = ["-O3", "-fno-math-errno", "-fno-trapping-math", "-fopenmp", "-fvisibility=hidden", "-Wno-psabi"]
 LINK_FLAGS = ["-fopenmp"]
 
 setup(

@@ -146,7 +146,7 @@ class Camera:
         kernel = getattr(_numpy, function)
         if not batched:
             out, valid = kernel(self.model, self.params, vectors.reshape(-1, size))
-            return out.reshape(*shape[:-1], -1), valid.reshape(shape[:-1])
+            return out.reshape(*shape[:-1], out.shape[-1]), valid.reshape(shape[:-1])
         parts = [
             type(self)(p, self.image_size)._transform(function, v, name, size)
             for p, v in zip(self.params, vectors, strict=True)
@@ -241,6 +241,11 @@ class FisheyeCamera(Camera):
         where = f"{cls.__name__}.from_opencv()"
         K = K if is_tensor(K) else np.asarray(K, dtype=np.float64)
         D = D if is_tensor(D) else np.asarray(D, dtype=np.float64)
+        if is_tensor(K) or is_tensor(D):
+            import torch
+
+            like = K if is_tensor(K) else D
+            K, D = torch.as_tensor(K).to(like), torch.as_tensor(D).to(like)
         if K.ndim not in (2, 3) or tuple(K.shape[-2:]) != (3, 3):
             raise ValueError(f"{where}: expected K of shape (3, 3) or (B, 3, 3), got {tuple(K.shape)}")
         batch = tuple(K.shape[:-2])
@@ -411,7 +416,7 @@ class PinholeCamera(Camera):
         if params.ndim == 2:
             points = xp.broadcast_to(points, (params.shape[0], 4, 2))
         rays, valid = camera.unproject(points)
-        widest = xp.asarray(EDGE_MATCHED_THETA_MAX)
+        widest = EDGE_MATCHED_THETA_MAX * xp.ones_like(params[..., :1])
         # Where an edge lies beyond the lens, its angle is unknown but no smaller than theta_max.
         beyond = np.minimum(camera.theta_max, EDGE_MATCHED_THETA_MAX)
         beyond = xp.asarray(beyond).to(params) if is_tensor(params) else beyond

@@ -28,7 +28,8 @@ def project(model: str, params: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
     Returns:
         points (..., 2) in pixels, and valid (...), False where the camera does not see the ray; points there are NaN.
     """
-    return _PROJECT[model](params, rays)
+    points, valid = _PROJECT[model](params, rays)
+    return _where_usable(params, points, valid)
 
 
 def unproject(model: str, params: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -42,7 +43,8 @@ def unproject(model: str, params: Tensor, points: Tensor) -> tuple[Tensor, Tenso
     Returns:
         rays (..., 3), of unit length for a fisheye and with z = 1 for a pinhole, and valid (...).
     """
-    return _UNPROJECT[model](params, points)
+    rays, valid = _UNPROJECT[model](params, points)
+    return _where_usable(params, rays, valid)
 
 
 def theta_max(params: Tensor) -> Tensor:
@@ -101,13 +103,13 @@ def _project_pinhole(params: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
     x, y, z = rays.unbind(-1)
     valid = z > 0
     inverse_z = 1 / torch.where(valid, z, 1.0)
-    return _points(cx + fx * x * inverse_z, cy + fy * y * inverse_z, valid)
+    return torch.stack([cx + fx * x * inverse_z, cy + fy * y * inverse_z], -1), valid
 
 
 def _unproject_pinhole(params: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
     fx, fy, cx, cy = params.unbind(-1)
     x, y = (points[..., 0] - cx) / fx, (points[..., 1] - cy) / fy
-    return torch.stack([x, y, torch.ones_like(x)], -1), x.isfinite() & y.isfinite()
+    return torch.stack([x, y, torch.ones_like(x)], -1), torch.ones_like(x, dtype=torch.bool)
 
 
 def _project_kannala_brandt(params: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
@@ -117,7 +119,7 @@ def _project_kannala_brandt(params: Tensor, rays: Tensor) -> tuple[Tensor, Tenso
     theta = torch.where(on_axis, 0.0, torch.atan2(r, z))
     scale = torch.where(on_axis, 1 / torch.where(z == 0, 1.0, z), _theta_d(theta, params) / r)
     valid = (theta <= theta_max(params)) & (~on_axis | (z > 0))
-    return _points(cx + fx * x * scale, cy + fy * y * scale, valid)
+    return torch.stack([cx + fx * x * scale, cy + fy * y * scale], -1), valid
 
 
 def _unproject_kannala_brandt(params: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -128,12 +130,12 @@ def _unproject_kannala_brandt(params: Tensor, points: Tensor) -> tuple[Tensor, T
     theta, valid = _theta_from_theta_d(distance, params)
     scale = torch.where(on_axis, 1.0, theta.sin() / length)
     rays = torch.stack([x * scale, y * scale, theta.cos()], -1)
-    return torch.where(valid[..., None], rays, math.nan), valid
+    return rays, valid
 
 
-def _points(x: Tensor, y: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
-    valid = valid & x.isfinite() & y.isfinite()
-    return torch.where(valid[..., None], torch.stack([x, y], -1), math.nan), valid
+def _where_usable(params: Tensor, vectors: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    valid = valid & vectors.isfinite().all(-1) & params.isfinite().all(-1)
+    return torch.where(valid[..., None], vectors, math.nan), valid
 
 
 _PROJECT = {"pinhole": _project_pinhole, "kannala_brandt": _project_kannala_brandt}

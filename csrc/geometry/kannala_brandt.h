@@ -11,94 +11,106 @@
 
 namespace fisheyerec {
 
-template <class T>
+template <class S>
 struct KannalaBrandt {
   static constexpr int parameter_count = 8;
   static constexpr int knot_count = 64;  // cells of the table the Newton inverse starts from
 
-  T fx, fy, cx, cy, k1, k2, k3, k4;
-  T theta_max;              // in [0, pi]
-  T theta_d_max;            // theta_d(theta_max)
-  T knots[knot_count + 1];  // theta at even steps of table_position()
+  S fx, fy, cx, cy, k1, k2, k3, k4;
+  S theta_max;              // in [0, pi]
+  S theta_d_max;            // theta_d(theta_max)
+  S knots[knot_count + 1];  // theta at even steps of table_position()
 
   static KannalaBrandt make(const double* params);
 
+  template <class T>
   FISHEYEREC_INLINE T theta_d(T theta) const {
     const T u = theta * theta;
-    return theta * (T(1) + u * (k1 + u * (k2 + u * (k3 + u * k4))));
+    return theta * (S(1) + u * (k1 + u * (k2 + u * (k3 + u * k4))));
   }
 
+  template <class T>
   FISHEYEREC_INLINE T theta_d_derivative(T theta) const {
     const T u = theta * theta;
-    return T(1) + u * (3 * k1 + u * (5 * k2 + u * (7 * k3 + u * (9 * k4))));
+    return S(1) + u * (3 * k1 + u * (5 * k2 + u * (7 * k3 + u * (9 * k4))));
   }
 
+  template <class T>
   struct Inverse {
     T theta;
-    bool converged;
+    Mask<T> converged;
   };
 
   // Where `distance` = theta_d lies in the table, in [0, knot_count]. Even steps of this position are short steps of
   // theta everywhere: the fraction keeps high polynomials, whose theta_d explodes towards pi, from crowding the
   // picture into the first cell, and theta is smooth in the square root even at a theta_max where the slope vanishes.
-  FISHEYEREC_INLINE static T table_position(T distance, T theta_d_max) {
-    const T rest = (theta_d_max - distance) / ((1 + distance) * theta_d_max);  // 1 at distance 0, 0 at theta_d_max
-    return (1 - std::sqrt(rest)) * knot_count;
+  template <class T>
+  FISHEYEREC_INLINE static T table_position(T distance, S theta_d_max) {
+    const T rest = (theta_d_max - distance) / ((S(1) + distance) * theta_d_max);  // 1 at distance 0, 0 at theta_d_max
+    return (S(1) - square_root(rest)) * S(knot_count);
   }
 
   // theta with theta_d(theta) = distance, for distance in [0, theta_d_max]; converged is false elsewhere.
   // Newton from the table, bisecting where it would leave its bracket. A fixed count of steps, so that pixels can
   // share vector instructions.
-  FISHEYEREC_INLINE Inverse theta_from_theta_d(T distance) const {
-    constexpr int steps = sizeof(T) == 8 ? 8 : 3;
-    const bool in_range = distance >= 0 && distance <= theta_d_max && theta_d_max > 0;
-    const T position = in_range ? table_position(distance, theta_d_max) : T(0);
-    const int whole = static_cast<int>(position);
-    const int cell = whole < knot_count ? whole : knot_count - 1;
-    T low = knots[cell], high = knots[cell + 1];
-    T theta = low + (high - low) * (position - static_cast<T>(cell));
+  template <class T>
+  FISHEYEREC_INLINE Inverse<T> theta_from_theta_d(T distance) const {
+    constexpr int steps = sizeof(S) == 8 ? 8 : 3;
+    const T zero = splat<T>(0);
+    const Mask<T> in_range =
+        (distance >= zero) & (distance <= splat<T>(theta_d_max)) & splat<Mask<T>>(theta_d_max > 0 ? -1 : 0);
+    const T position = select(in_range, table_position(distance, theta_d_max), zero);
+    const Index<T> whole = truncate(position), last = splat<Index<T>>(knot_count - 1);
+    const Index<T> cell = select(whole < last, whole, last);
+    T low = lookup<T>(knots, cell), high = lookup<T>(knots + 1, cell);
+    T theta = low + (high - low) * (position - to_real<T>(cell));
     for (int step = 0; step < steps; ++step) {
       const T residual = theta_d(theta) - distance;
-      low = residual < 0 ? theta : low;
-      high = residual < 0 ? high : theta;
+      low = select(residual < zero, theta, low);
+      high = select(residual < zero, high, theta);
       const T next = theta - residual / theta_d_derivative(theta);
-      theta = next >= low && next <= high ? next : (low + high) / 2;
+      theta = select((next >= low) & (next <= high), next, (low + high) * S(0.5));
     }
     const T residual = theta_d(theta) - distance;
     // At the rim the slope is 0 and theta itself is only known to the square root of epsilon; what counts is where
     // the ray lands.
-    const T tolerance = 16 * std::numeric_limits<T>::epsilon() * (1 + distance);
-    return {theta, in_range && residual <= tolerance && -residual <= tolerance};
+    const T tolerance = 16 * std::numeric_limits<S>::epsilon() * (S(1) + distance);
+    const Mask<T> converged = in_range & (residual <= tolerance) & (-residual <= tolerance);
+    return {theta, converged};
   }
 
   // The implicit function theorem at the solution, no unrolling:
   //   dtheta/ddistance = 1 / theta_d'(theta),  dtheta/dk_i = -theta^(2i+1) / theta_d'(theta)
+  template <class T>
   FISHEYEREC_INLINE void theta_from_theta_d_adjoint(T theta, T grad_theta, T& grad_distance, T* grad_params) const {
     const T slope = theta_d_derivative(theta);
-    const T g = slope > 0 ? grad_theta / slope : T(0);
+    const T g = select(slope > splat<T>(0), grad_theta / slope, splat<T>(0));
     const T u = theta * theta;
     T power = theta;
     for (int i = 0; i < 4; ++i) grad_params[4 + i] -= g * (power *= u);
     grad_distance += g;
   }
 
-  FISHEYEREC_INLINE bool project(const Ray<T>& ray, Pixel<T>& pixel) const {
-    const T r = std::sqrt(ray.x * ray.x + ray.y * ray.y);
+  template <class T>
+  FISHEYEREC_INLINE Mask<T> project(const Ray<T>& ray, Pixel<T>& pixel) const {
+    const T r = square_root(ray.x * ray.x + ray.y * ray.y);
     const T theta = atan2_upper(r, ray.z);
-    const T scale = r > 0 ? theta_d(theta) / r : T(1) / ray.z;  // theta_d / r -> 1/Z on the axis
+    const T scale = select(r > splat<T>(0), theta_d(theta) / r, S(1) / ray.z);  // theta_d / r -> 1/Z on the axis
     pixel.x = cx + fx * (ray.x * scale);
     pixel.y = cy + fy * (ray.y * scale);
-    return theta <= theta_max && (r > 0 || ray.z > 0);
+    const T zero = splat<T>(0);
+    return (theta <= splat<T>(theta_max)) & ((r > zero) | (ray.z > zero));
   }
 
+  template <class T>
   FISHEYEREC_INLINE void project_adjoint(const Ray<T>& ray, const Pixel<T>& grad_pixel, Ray<T>& grad_ray,
                                          T* grad_params) const {
     const T r2 = ray.x * ray.x + ray.y * ray.y;
-    const T r = std::sqrt(r2);
+    const T r = square_root(r2);
     const T theta = atan2_upper(r, ray.z);
-    const bool on_axis = !(r > 0);
-    const T inverse_r = on_axis ? T(0) : T(1) / r;
-    const T scale = on_axis ? T(1) / ray.z : theta_d(theta) * inverse_r;
+    const Mask<T> on_axis = r == splat<T>(0);
+    const T inverse_r = select(on_axis, splat<T>(0), S(1) / r);
+    const T scale = select(on_axis, S(1) / ray.z, theta_d(theta) * inverse_r);
 
     const T grad_x = grad_pixel.x * fx, grad_y = grad_pixel.y * fy;
     grad_params[0] += grad_pixel.x * (ray.x * scale);
@@ -121,26 +133,28 @@ struct KannalaBrandt {
   }
 
   // The ray has unit length: (sin(theta) m / |m|, cos(theta)) with m = ((x - cx)/fx, (y - cy)/fy).
-  FISHEYEREC_INLINE bool unproject(const Pixel<T>& pixel, Ray<T>& ray) const {
+  template <class T>
+  FISHEYEREC_INLINE Mask<T> unproject(const Pixel<T>& pixel, Ray<T>& ray) const {
     const T mx = (pixel.x - cx) / fx, my = (pixel.y - cy) / fy;
-    const T distance = std::sqrt(mx * mx + my * my);
-    const Inverse inverse = theta_from_theta_d(distance);
+    const T distance = square_root(mx * mx + my * my);
+    const Inverse<T> inverse = theta_from_theta_d(distance);
     T sin_theta, cos_theta;
     sin_cos(inverse.theta, sin_theta, cos_theta);
-    const T scale = distance > 0 ? sin_theta / distance : T(1);
+    const T scale = select(distance > splat<T>(0), sin_theta / distance, splat<T>(1));
     ray = {mx * scale, my * scale, cos_theta};
     return inverse.converged;
   }
 
+  template <class T>
   FISHEYEREC_INLINE void unproject_adjoint(const Pixel<T>& pixel, const Ray<T>& grad_ray, T* grad_params) const {
     const T mx = (pixel.x - cx) / fx, my = (pixel.y - cy) / fy;
-    const T distance = std::sqrt(mx * mx + my * my);
+    const T distance = square_root(mx * mx + my * my);
     const T theta = theta_from_theta_d(distance).theta;
     T sin_theta, cos_theta;
     sin_cos(theta, sin_theta, cos_theta);
-    const bool on_axis = !(distance > 0);
-    const T inverse_distance = on_axis ? T(0) : T(1) / distance;
-    const T scale = on_axis ? T(1) : sin_theta * inverse_distance;
+    const Mask<T> on_axis = distance == splat<T>(0);
+    const T inverse_distance = select(on_axis, splat<T>(0), S(1) / distance);
+    const T scale = select(on_axis, splat<T>(1), sin_theta * inverse_distance);
 
     // scale = sin(theta) / distance, theta = theta(distance, k)
     const T grad_scale_over_distance = (grad_ray.x * mx + grad_ray.y * my) * inverse_distance;
@@ -202,19 +216,19 @@ inline double monotonic_limit(const double k[4]) {
   return edge_count > 2 ? std::sqrt(edges[1]) : pi<double>;
 }
 
-template <class T>
-KannalaBrandt<T> KannalaBrandt<T>::make(const double* p) {
+template <class S>
+KannalaBrandt<S> KannalaBrandt<S>::make(const double* p) {
   KannalaBrandt<double> exact{p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], 0, 0, {}};
   exact.theta_max = monotonic_limit(p + 4);
   exact.theta_d_max = exact.theta_d(exact.theta_max);
 
-  KannalaBrandt<T> camera;
-  camera.fx = static_cast<T>(p[0]), camera.fy = static_cast<T>(p[1]);
-  camera.cx = static_cast<T>(p[2]), camera.cy = static_cast<T>(p[3]);
-  camera.k1 = static_cast<T>(p[4]), camera.k2 = static_cast<T>(p[5]);
-  camera.k3 = static_cast<T>(p[6]), camera.k4 = static_cast<T>(p[7]);
-  camera.theta_max = static_cast<T>(exact.theta_max);
-  camera.theta_d_max = static_cast<T>(exact.theta_d_max);
+  KannalaBrandt<S> camera;
+  camera.fx = static_cast<S>(p[0]), camera.fy = static_cast<S>(p[1]);
+  camera.cx = static_cast<S>(p[2]), camera.cy = static_cast<S>(p[3]);
+  camera.k1 = static_cast<S>(p[4]), camera.k2 = static_cast<S>(p[5]);
+  camera.k3 = static_cast<S>(p[6]), camera.k4 = static_cast<S>(p[7]);
+  camera.theta_max = static_cast<S>(exact.theta_max);
+  camera.theta_d_max = static_cast<S>(exact.theta_d_max);
   camera.knots[0] = 0;
   camera.knots[knot_count] = camera.theta_max;
   double low = 0;  // Newton kept inside a bracket by bisection; it starts where the last knot was found
@@ -230,7 +244,7 @@ KannalaBrandt<T> KannalaBrandt<T>::make(const double* p) {
       if (std::abs(next - theta) <= 1e-15) break;
       theta = next;
     }
-    camera.knots[i] = static_cast<T>(theta);
+    camera.knots[i] = static_cast<S>(theta);
   }
   return camera;
 }

@@ -7,20 +7,12 @@
 // Invalid  is a value: projections answer `bool`, and every comparison is written so that NaN falls on the
 //          invalid side.
 //
-// Tier 1: the maths of one pixel or ray, templated on the scalar, <cmath> only. Each function stands above its
-// adjoint, which takes the same arguments, then the incoming gradient, and accumulates into the outgoing ones.
+// Tier 1: the maths of one pixel or ray, templated on the number type (lanes.h), <cmath> only. Each function stands
+// above its adjoint, which takes the same arguments, then the incoming gradient, and accumulates into the outgoing
+// ones.
 #pragma once
 
-#include <cmath>
-#include <limits>
-
-// Never emitted as a symbol of its own, so that one header can be compiled for several instruction sets within
-// one binary without the linker picking the wrong copy.
-#if defined(__GNUC__)
-#define FISHEYEREC_INLINE inline __attribute__((always_inline))
-#else
-#define FISHEYEREC_INLINE inline
-#endif
+#include "lanes.h"
 
 namespace fisheyerec {
 
@@ -36,31 +28,30 @@ struct Ray {
 
 // The half pixel of the convention above: from the centre of a pixel to its edge.
 template <class T>
-constexpr T half_pixel = T(0.5);
+constexpr Scalar<T> half_pixel = Scalar<T>(0.5);
 
 // Whether coordinate x lies on an image that is `size` pixels wide (or high).
 template <class T>
-FISHEYEREC_INLINE bool inside(T x, T size) {
-  return x >= -half_pixel<T> && x <= size - half_pixel<T>;
+FISHEYEREC_INLINE Mask<T> inside(T x, Scalar<T> size) {
+  return (x >= -half_pixel<T>)&(x <= size - half_pixel<T>);
 }
 
-// The integer pixel that contains coordinate x; x must lie inside the image.
+// The integer pixel that contains coordinate x, which must lie in [0, size - 1].
 template <class T>
-FISHEYEREC_INLINE int nearest_index(T x, int size) {
-  const int index = static_cast<int>(x + half_pixel<T>);  // x + half >= 0, so truncation is floor
-  return index < size ? index : size - 1;                 // the image's far edge belongs to its last pixel
+FISHEYEREC_INLINE Index<T> nearest_index(T x) {
+  return truncate(x + half_pixel<T>);
 }
 
 // ray_source = R ray_target, R row-major.
 template <class T>
-FISHEYEREC_INLINE Ray<T> rotate(const T* R, const Ray<T>& ray) {
+FISHEYEREC_INLINE Ray<T> rotate(const Scalar<T>* R, const Ray<T>& ray) {
   return {R[0] * ray.x + R[1] * ray.y + R[2] * ray.z, R[3] * ray.x + R[4] * ray.y + R[5] * ray.z,
           R[6] * ray.x + R[7] * ray.y + R[8] * ray.z};
 }
 
 template <class T>
-FISHEYEREC_INLINE void rotate_adjoint(const T* R, const Ray<T>& ray, const Ray<T>& grad_rotated, Ray<T>& grad_ray,
-                                      T* grad_R) {
+FISHEYEREC_INLINE void rotate_adjoint(const Scalar<T>* R, const Ray<T>& ray, const Ray<T>& grad_rotated,
+                                      Ray<T>& grad_ray, T* grad_R) {
   const Ray<T>& g = grad_rotated;
   grad_ray.x += R[0] * g.x + R[3] * g.y + R[6] * g.z;
   grad_ray.y += R[1] * g.x + R[4] * g.y + R[7] * g.z;

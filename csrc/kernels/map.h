@@ -5,26 +5,29 @@
 #include "../geometry/pinhole.h"
 #include "resample.h"
 
+// The width of vectors in bytes; each rows_*.cpp says its own.
+#ifndef FISHEYEREC_VECTOR_BYTES
+#define FISHEYEREC_VECTOR_BYTES 16
+#endif
+
 namespace fisheyerec {
 
-// Pixels are handled in runs of one row that fit the first-level cache; lanes is the width that every instruction
-// set divides, so that sums are taken in the same order everywhere.
+// Pixels are handled in runs of one row, so that everything about a run stays in the first-level cache.
 constexpr int run_length = 256;
-constexpr int lanes = 16;
 
-template <class T>
+template <class S>
 struct Camera {
   CameraModel model;
-  Pinhole<T> pinhole;
-  KannalaBrandt<T> kannala_brandt;
+  Pinhole<S> pinhole;
+  KannalaBrandt<S> kannala_brandt;
 };
 
 // The cameras of one image of the batch, ready for the kernels.
-template <class T>
+template <class S>
 struct Geometry {
-  Camera<T> source, target;
+  Camera<S> source, target;
   bool rotated;
-  T source_from_target[9];
+  S source_from_target[9];
   bool finite;  // false: some parameter is NaN or infinite, and every pixel is invalid
 };
 
@@ -34,35 +37,50 @@ struct GeometryGradient {
 
 inline namespace FISHEYEREC_ISA {
 
+// What one step of a loop over pixels works on: a vector of floats, or one double.
+template <class S>
+struct PackOf {
+  using type = typename VectorOf<S, FISHEYEREC_VECTOR_BYTES / sizeof(S)>::type;
+};
+template <>
+struct PackOf<double> {
+  using type = double;
+};
+template <class S>
+using Pack = typename PackOf<S>::type;
+
 // Calls visit with the concrete camera: the model is chosen once per run, outside the pixel loop.
-template <class T, class Visit>
-FISHEYEREC_INLINE void with_model(const Camera<T>& camera, const Visit& visit) {
+template <class S, class Visit>
+FISHEYEREC_INLINE void with_model(const Camera<S>& camera, const Visit& visit) {
   switch (camera.model) {
     case CameraModel::pinhole: return visit(camera.pinhole);
     case CameraModel::kannala_brandt: return visit(camera.kannala_brandt);
   }
 }
 
-// x, y: where target pixels (column + i, row) lie in the source image; NaN where the ray is invalid.
-template <class T>
-void map_run(const Geometry<T>& geometry, int64_t row, int64_t column, int count, T* x, T* y) {
-  constexpr T nan = std::numeric_limits<T>::quiet_NaN();
-  if (!geometry.finite) {
-    for (int i = 0; i < count; ++i) x[i] = y[i] = nan;
-    return;
-  }
+// x, y: where target pixels (column + i, row) lie in the source image; NaN where the ray is invalid. Written in whole
+// packs, beyond count too.
+template <class S>
+void map_run(const Geometry<S>& geometry, int64_t row, int64_t column, int count, S* x, S* y) {
+  using T = Pack<S>;
+  const T nan = splat<T>(std::numeric_limits<S>::quiet_NaN());
   const auto map = [&](const auto& source, const auto& target, auto rotated) {
-#pragma omp simd
-    for (int i = 0; i < count; ++i) {
+    for (int i = 0; i < count; i += lanes<T>) {
       Ray<T> ray;
       Pixel<T> pixel;
-      const bool seen = target.unproject({static_cast<T>(column + i), static_cast<T>(row)}, ray);
+      const Pixel<T> at{count_from<T>(static_cast<S>(column + i)), splat<T>(row)};
+      const Mask<T> seen = target.unproject(at, ray);
       if constexpr (rotated.value) ray = rotate(geometry.source_from_target, ray);
-      const bool hit = source.project(ray, pixel);
-      x[i] = seen && hit ? pixel.x : nan;
-      y[i] = seen && hit ? pixel.y : nan;
+      const Mask<T> hit = source.project(ray, pixel);
+      const Mask<T> live = seen & hit;
+      store_lanes(x + i, select(live, pixel.x, nan));
+      store_lanes(y + i, select(live, pixel.y, nan));
     }
   };
+  if (!geometry.finite) {
+    for (int i = 0; i < count; i += lanes<T>) store_lanes(x + i, nan), store_lanes(y + i, nan);
+    return;
+  }
   with_model(geometry.source, [&](const auto& source) {
     with_model(geometry.target, [&](const auto& target) {
       geometry.rotated ? map(source, target, std::true_type{}) : map(source, target, std::false_type{});
@@ -70,45 +88,45 @@ void map_run(const Geometry<T>& geometry, int64_t row, int64_t column, int count
   });
 }
 
-// grad_x, grad_y: gradients to what map_run gave; arrays are readable up to the next multiple of `lanes` and zero
-// beyond count. Adds this run's gradients; beyond the source camera's only where `want_target`.
-template <class T>
-void map_run_adjoint(const Geometry<T>& geometry, int64_t row, int64_t column, int count, const T* grad_x,
-                     const T* grad_y, bool want_target, GeometryGradient& gradient) {
+// grad_x, grad_y: gradients to what map_run gave, readable in whole packs and zero beyond count. Adds this run's
+// gradients; beyond the source camera's only where `want_target`.
+template <class S>
+void map_run_adjoint(const Geometry<S>& geometry, int64_t row, int64_t column, int count, const S* grad_x,
+                     const S* grad_y, bool want_target, GeometryGradient& gradient) {
   if (!geometry.finite) return;
+  using T = Pack<S>;
   const auto adjoint = [&](const auto& source, const auto& target, auto wants_target) {
     constexpr int source_count = std::decay_t<decltype(source)>::parameter_count;
     constexpr int target_count = std::decay_t<decltype(target)>::parameter_count;
-    T source_sum[source_count][lanes] = {}, target_sum[target_count][lanes] = {}, rotation_sum[9][lanes] = {};
-    for (int begin = 0; begin < count; begin += lanes) {
-#pragma omp simd
-      for (int lane = 0; lane < lanes; ++lane) {
-        const int i = begin + lane;
-        const Pixel<T> target_pixel{static_cast<T>(column + i), static_cast<T>(row)};
-        const Pixel<T> grad_pixel{grad_x[i], grad_y[i]};
-        // Gradients are exactly zero where the ray is invalid, which is where the adjoint may meet 0/0.
-        const bool live = !(grad_pixel.x == 0 && grad_pixel.y == 0);
-        Ray<T> target_ray, ray, grad_ray{0, 0, 0}, grad_target_ray{0, 0, 0};
-        T grad_source[source_count] = {}, grad_target[target_count] = {}, grad_rotation[9] = {};
-        target.unproject(target_pixel, target_ray);
-        ray = geometry.rotated ? rotate(geometry.source_from_target, target_ray) : target_ray;
-        source.project_adjoint(ray, grad_pixel, grad_ray, grad_source);
-        for (int j = 0; j < source_count; ++j) source_sum[j][lane] += live ? grad_source[j] : T(0);
-        if constexpr (wants_target.value) {
-          if (geometry.rotated) {
-            rotate_adjoint(geometry.source_from_target, target_ray, grad_ray, grad_target_ray, grad_rotation);
-          } else {
-            grad_target_ray = grad_ray;
-          }
-          target.unproject_adjoint(target_pixel, grad_target_ray, grad_target);
-          for (int j = 0; j < target_count; ++j) target_sum[j][lane] += live ? grad_target[j] : T(0);
-          for (int j = 0; j < 9; ++j) rotation_sum[j][lane] += live ? grad_rotation[j] : T(0);
+    const T zero = splat<T>(0);
+    T source_sum[source_count] = {}, target_sum[target_count] = {}, rotation_sum[9] = {};
+    for (int i = 0; i < count; i += lanes<T>) {
+      const Pixel<T> at{count_from<T>(static_cast<S>(column + i)), splat<T>(row)};
+      const Pixel<T> grad_pixel{load_lanes<T>(grad_x + i), load_lanes<T>(grad_y + i)};
+      // Gradients are exactly zero where the ray is invalid, which is where the adjoint may meet 0/0.
+      const Mask<T> live = (grad_pixel.x != zero) | (grad_pixel.y != zero);
+      Ray<T> target_ray, grad_ray{zero, zero, zero}, grad_target_ray{zero, zero, zero};
+      T grad_source[source_count] = {}, grad_target[target_count] = {}, grad_rotation[9] = {};
+      target.unproject(at, target_ray);
+      const Ray<T> ray = geometry.rotated ? rotate(geometry.source_from_target, target_ray) : target_ray;
+      source.project_adjoint(ray, grad_pixel, grad_ray, grad_source);
+      for (int j = 0; j < source_count; ++j) source_sum[j] += select(live, grad_source[j], zero);
+      if constexpr (wants_target.value) {
+        if (geometry.rotated) {
+          rotate_adjoint(geometry.source_from_target, target_ray, grad_ray, grad_target_ray, grad_rotation);
+          for (int j = 0; j < 9; ++j) rotation_sum[j] += select(live, grad_rotation[j], zero);
+        } else {
+          grad_target_ray = grad_ray;
         }
+        target.unproject_adjoint(at, grad_target_ray, grad_target);
+        for (int j = 0; j < target_count; ++j) target_sum[j] += select(live, grad_target[j], zero);
       }
     }
-    const auto add = [](int parameters, const T(*sums)[lanes], double* total) {
+    const auto add = [](int parameters, const T* sums, double* total) {
       for (int j = 0; j < parameters; ++j) {
-        for (int lane = 0; lane < lanes; ++lane) total[j] += static_cast<double>(sums[j][lane]);
+        S values[lanes<T>];
+        store_lanes(values, sums[j]);
+        for (const S value : values) total[j] += static_cast<double>(value);
       }
     };
     add(source_count, source_sum, gradient.source);

@@ -13,9 +13,9 @@ constexpr int64_t serial_values = 1 << 14;
 template <class T>
 const RowKernels<T>& row_kernels() {
   if constexpr (sizeof(T) == 8) {
-    return baseline.double_rows;
+    return instruction_set().double_rows;
   } else {
-    return baseline.float_rows;
+    return instruction_set().float_rows;
   }
 }
 

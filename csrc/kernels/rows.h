@@ -43,13 +43,13 @@ void with_bytes(ScalarType type, const Visit& visit) {
   }
 }
 
-// Walks the target rows in runs, with each run's coordinates and taps at hand: visit(row, column, count).
-template <class T, class Visit>
+// Walks target rows in runs: visit(row, column, count). Down the rows first, so that the source rows which one run
+// reads are still in the cache for the run below it.
+template <class Visit>
 FISHEYEREC_INLINE void for_each_run(int64_t width, int64_t row_begin, int64_t row_end, const Visit& visit) {
-  for (int64_t row = row_begin; row < row_end; ++row) {
-    for (int64_t column = 0; column < width; column += run_length) {
-      visit(row, column, static_cast<int>(width - column < run_length ? width - column : run_length));
-    }
+  for (int64_t column = 0; column < width; column += run_length) {
+    const int count = static_cast<int>(width - column < run_length ? width - column : run_length);
+    for (int64_t row = row_begin; row < row_end; ++row) visit(row, column, count);
   }
 }
 
@@ -60,12 +60,12 @@ void forward_rows(const ForwardJob<T>& job, int64_t batch, int64_t row_begin, in
   Taps<T> taps;
   const auto run = [&](auto* storage, auto sample) {
     using D = std::remove_pointer_t<decltype(storage)>;
-    for_each_run<T>(target.width, row_begin, row_end, [&](int64_t row, int64_t column, int count) {
+    for_each_run(target.width, row_begin, row_end, [&](int64_t row, int64_t column, int count) {
       map_run(job.geometries[batch], row, column, count, x, y);
-      take_taps(source, job.interpolation, job.padding, count, x, y, taps);
+      take_taps(source, job.interpolation, job.padding, count, x, y, false, taps);
       uint8_t* valid = job.valid + (batch * target.height + row) * target.width + column;
       for (int i = 0; i < count; ++i) {
-        valid[i] = inside(x[i], static_cast<T>(source.width)) && inside(y[i], static_cast<T>(source.height));
+        valid[i] = inside(x[i], static_cast<T>(source.width)) & inside(y[i], static_cast<T>(source.height));
       }
       sample(source, pixels<D>(source, batch), taps, count, target, pixels<D>(target, batch, row, column));
     });
@@ -84,10 +84,10 @@ void backward_coordinate_rows(const BackwardJob<T>& job, int64_t batch, int64_t 
   Taps<T> taps;
   with_storage<T>(source.type, [&](auto* storage) {
     using D = std::remove_pointer_t<decltype(storage)>;
-    for_each_run<T>(grad_target.width, row_begin, row_end, [&](int64_t row, int64_t column, int count) {
+    for_each_run(grad_target.width, row_begin, row_end, [&](int64_t row, int64_t column, int count) {
       map_run(job.geometries[batch], row, column, count, x, y);
-      take_taps(source, job.interpolation, job.padding, count, x, y, taps);
-      alignas(64) T grad_x[run_length] = {}, grad_y[run_length] = {};
+      take_taps(source, job.interpolation, job.padding, count, x, y, true, taps);
+      alignas(64) T grad_x[run_length], grad_y[run_length];
       sample_run_adjoint_coordinates(source, pixels<const D>(source, batch), taps, count, grad_target,
                                      pixels<const D>(grad_target, batch, row, column), grad_x, grad_y);
       map_run_adjoint(job.geometries[batch], row, column, count, grad_x, grad_y, job.want_target,
@@ -109,9 +109,9 @@ void backward_image_rows(const BackwardJob<T>& job, int64_t batch, int64_t row_b
   Taps<T> taps;
   with_storage<T>(source.type, [&](auto* storage) {
     using D = std::remove_pointer_t<decltype(storage)>;
-    for_each_run<T>(grad_target.width, 0, grad_target.height, [&](int64_t row, int64_t column, int count) {
+    for_each_run(grad_target.width, 0, grad_target.height, [&](int64_t row, int64_t column, int count) {
       map_run(job.geometries[batch], row, column, count, x, y);
-      take_taps(grad_source, job.interpolation, job.padding, count, x, y, taps);
+      take_taps(grad_source, job.interpolation, job.padding, count, x, y, false, taps);
       sample_run_adjoint_image(grad_source, pixels<T>(grad_source, batch), taps, count, grad_target,
                                pixels<const D>(grad_target, batch, row, column), static_cast<int>(row_begin),
                                static_cast<int>(row_end));

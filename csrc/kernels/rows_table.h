@@ -40,5 +40,12 @@ struct InstructionSet {
 };
 
 extern const InstructionSet baseline;
+#if defined(__x86_64__) && defined(__GNUC__)
+extern const InstructionSet avx2, avx512;
+#endif
+
+// The best set this processor has. FISHEYEREC_ISA=baseline|avx2|avx512 in the environment asks for a lower one, which
+// is how tests compare them.
+const InstructionSet& instruction_set();
 
 }  // namespace fisheyerec

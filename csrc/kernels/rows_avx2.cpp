@@ -1,0 +1,29 @@
+// The same loops for x86-64 with AVX2 and FMA.
+#if defined(__x86_64__) && defined(__GNUC__)
+
+// The standard library is included before the target changes: its inline functions are shared by the whole program.
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <type_traits>
+#include <utility>
+
+#ifdef __clang__
+#pragma clang attribute push(__attribute__((target("avx2,fma,f16c,bmi,bmi2"))), apply_to = function)
+#else
+#pragma GCC target("avx2,fma,f16c,bmi,bmi2")
+#endif
+
+#define FISHEYEREC_ISA avx2_isa
+#define FISHEYEREC_VECTOR_BYTES 32
+#include "rows.h"
+
+namespace fisheyerec {
+extern const InstructionSet avx2{row_kernels<float>(), row_kernels<double>()};
+}
+
+#ifdef __clang__
+#pragma clang attribute pop
+#endif
+#endif
