@@ -129,7 +129,7 @@ def tensor_row(shape: tuple[int, int, int, int], layout: str, backward: bool, di
         grid.requires_grad_()
         for tensor in params.values():
             tensor.requires_grad_()
-        forwards = {name: call for name, call in run.items()}
+        forwards = dict(run)
 
         def with_backward(call: Callable[[], torch.Tensor], leaves: list[torch.Tensor]) -> Callable[[], object]:
             return lambda: torch.autograd.grad(call(), leaves, weights)

@@ -181,11 +181,11 @@ def resample(
     points = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1)[None]
     finite = source.isfinite().all(-1) & target.isfinite().all(-1)
     rays, seen = unproject(target_model, target, points)
+    rays = torch.where(seen[..., None], rays, 0.0)  # before the rotation, whose gradient would take up their NaN
     if source_from_target is not None:
         rotation = source_from_target.to(image.device, dtype)[:, None, None]
         finite = finite & rotation.isfinite().all(-1).all(-1)
         rays = (rotation @ rays[..., None])[..., 0]
-    rays = torch.where(seen[..., None], rays, 0.0)
     points, hit = project(source_model, source, rays)
     live = (hit & finite & seen).expand(batch, height, width)
     points = points.expand(batch, height, width, 2)
