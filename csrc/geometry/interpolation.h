@@ -11,11 +11,20 @@ namespace fisheyerec {
 // wanted has weight and slope 0. (An image one pixel wide has index 0 only; its second neighbour has weight 0.)
 template <class T>
 struct Tap {
-  Index<T> index;  // in [0, max(size - 2, 0)]
+  Index<T> index;  // in [0, max(size - 2, 0)] where linear, in [0, size - 1] where nearest
   T weight[2];
   T slope[2];
   Mask<T> live;  // false where nothing is read, which includes NaN
 };
+
+// Linear, for a coordinate known to lie in [0, size - 1): what the other two agree on there.
+template <class T>
+FISHEYEREC_INLINE Tap<T> linear_tap_interior(T x) {
+  const T one = splat<T>(1);
+  const Index<T> floor = truncate(x);
+  const T fraction = x - to_real<T>(floor);
+  return {floor, {one - fraction, fraction}, {-one, one}, x == x};
+}
 
 // The neighbours of floor(x) = base, moved inside the image: base -1 and size - 1 have one neighbour there.
 template <class T>
@@ -58,13 +67,14 @@ FISHEYEREC_INLINE Tap<T> linear_tap_border(T x, int size) {
   return edge_tap<T>(floor, one - fraction, fraction, -slope, slope, x == x, size);
 }
 
-// The pixel that contains x; beyond the edge, the edge's where `extend`, else nothing.
+// The pixel that contains x; beyond the edge, the edge's where `extend`, else nothing. There is no second neighbour:
+// index may be size - 1.
 template <class T>
 FISHEYEREC_INLINE Tap<T> nearest_tap(T x, int size, bool extend) {
   const T zero = splat<T>(0), one = splat<T>(1), end = splat<T>(size - 1);
   const Mask<T> live = extend ? x == x : inside(x, static_cast<Scalar<T>>(size));
   const T clamped = select(x > zero, select(x < end, x, end), zero);
-  return edge_tap<T>(nearest_index(clamped), select(live, one, zero), zero, zero, zero, live, size);
+  return {nearest_index(clamped), {select(live, one, zero), zero}, {zero, zero}, live};
 }
 
 }  // namespace fisheyerec

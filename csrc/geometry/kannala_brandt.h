@@ -59,10 +59,13 @@ struct KannalaBrandt {
     const T zero = splat<T>(0);
     const Mask<T> in_range =
         (distance >= zero) & (distance <= splat<T>(theta_d_max)) & splat<Mask<T>>(theta_d_max > 0 ? -1 : 0);
-    const T position = select(in_range, table_position(distance, theta_d_max), zero);
+    // A theta_d_max beyond the number type makes the position NaN, which is no index.
+    T position = table_position(distance, theta_d_max);
+    position = select(in_range & (position >= zero) & (position <= splat<T>(knot_count)), position, zero);
     const Index<T> whole = truncate(position), last = splat<Index<T>>(knot_count - 1);
     const Index<T> cell = select(whole < last, whole, last);
-    T low = lookup<T>(knots, cell), high = lookup<T>(knots + 1, cell);
+    T low, high;
+    lookup_pair(knots, cell, low, high);
     T theta = low + (high - low) * (position - to_real<T>(cell));
     for (int step = 0; step < steps; ++step) {
       const T residual = theta_d(theta) - distance;
@@ -95,7 +98,8 @@ struct KannalaBrandt {
   FISHEYEREC_INLINE Mask<T> project(const Ray<T>& ray, Pixel<T>& pixel) const {
     const T r = square_root(ray.x * ray.x + ray.y * ray.y);
     const T theta = atan2_upper(r, ray.z);
-    const T scale = select(r > splat<T>(0), theta_d(theta) / r, S(1) / ray.z);  // theta_d / r -> 1/Z on the axis
+    const Mask<T> off_axis = r > splat<T>(0);  // on the axis theta_d / r -> 1/Z
+    const T scale = select(off_axis, theta_d(theta), splat<T>(1)) / select(off_axis, r, ray.z);
     pixel.x = cx + fx * (ray.x * scale);
     pixel.y = cy + fy * (ray.y * scale);
     const T zero = splat<T>(0);

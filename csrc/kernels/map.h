@@ -61,7 +61,7 @@ FISHEYEREC_INLINE void with_model(const Camera<S>& camera, const Visit& visit) {
 // x, y: where target pixels (column + i, row) lie in the source image; NaN where the ray is invalid. Written in whole
 // packs, beyond count too.
 template <class S>
-void map_run(const Geometry<S>& geometry, int64_t row, int64_t column, int count, S* x, S* y) {
+FISHEYEREC_NOINLINE void map_run(const Geometry<S>& geometry, int64_t row, int64_t column, int count, S* x, S* y) {
   using T = Pack<S>;
   const T nan = splat<T>(std::numeric_limits<S>::quiet_NaN());
   const auto map = [&](const auto& source, const auto& target, auto rotated) {
@@ -91,8 +91,9 @@ void map_run(const Geometry<S>& geometry, int64_t row, int64_t column, int count
 // grad_x, grad_y: gradients to what map_run gave, readable in whole packs and zero beyond count. Adds this run's
 // gradients; beyond the source camera's only where `want_target`.
 template <class S>
-void map_run_adjoint(const Geometry<S>& geometry, int64_t row, int64_t column, int count, const S* grad_x,
-                     const S* grad_y, bool want_target, GeometryGradient& gradient) {
+FISHEYEREC_NOINLINE void map_run_adjoint(const Geometry<S>& geometry, int64_t row, int64_t column, int count,
+                                         const S* grad_x, const S* grad_y, bool want_target,
+                                         GeometryGradient& gradient) {
   if (!geometry.finite) return;
   using T = Pack<S>;
   const auto adjoint = [&](const auto& source, const auto& target, auto wants_target) {

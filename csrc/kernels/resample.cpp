@@ -79,24 +79,26 @@ void resample_backward_as(const Resampling& resampling, const Image& source, con
   const int64_t batch_size = grad_target.batch, height = grad_target.height;
   const std::vector<Geometry<T>> geometries = prepare<T>(resampling, batch_size);
   const int threads = useful_threads(grad_target, resampling.threads);
+  const bool linear = resampling.interpolation == Interpolation::bilinear;  // nearest has no slope
   const bool want_target = gradients.target_params || gradients.source_from_target;
   const bool want_coordinates = want_target || gradients.source_params;
   std::vector<GeometryGradient> row_gradients(want_coordinates ? static_cast<size_t>(batch_size * height) : 0);
+  std::vector<RowRange> row_ranges(
+      gradients.source ? static_cast<size_t>(batch_size * height * runs_in_row(grad_target.width)) : 0);
   const BackwardJob<T> job{geometries.data(),
                            source,
                            grad_target,
                            gradients.source,
-                           row_gradients.data(),
+                           want_coordinates && linear ? row_gradients.data() : nullptr,
+                           gradients.source ? row_ranges.data() : nullptr,
                            want_target,
                            resampling.interpolation,
                            resampling.padding};
+  for_each_band(batch_size, height, 8 * threads, threads, [&](int64_t batch, int64_t begin, int64_t end) {
+    row_kernels<T>().backward_target(job, batch, begin, end);
+  });
 
   if (want_coordinates) {
-    if (resampling.interpolation == Interpolation::bilinear) {
-      for_each_band(batch_size, height, 8 * threads, threads, [&](int64_t batch, int64_t begin, int64_t end) {
-        row_kernels<T>().backward_coordinates(job, batch, begin, end);
-      });
-    }
     for (int64_t batch = 0; batch < batch_size; ++batch) {
       GeometryGradient sum{};
       for (int64_t row = 0; row < height; ++row) {
@@ -118,7 +120,7 @@ void resample_backward_as(const Resampling& resampling, const Image& source, con
   if (gradients.source) {
     for_each_band(
         batch_size, gradients.source->height, threads > 1 ? 4 * threads : 1, threads,
-        [&](int64_t batch, int64_t begin, int64_t end) { row_kernels<T>().backward_image(job, batch, begin, end); });
+        [&](int64_t batch, int64_t begin, int64_t end) { row_kernels<T>().backward_source(job, batch, begin, end); });
   }
 }
 
@@ -154,7 +156,7 @@ void project(const Cameras& cameras, const double* rays, int64_t count, double* 
     Pixel<double> pixel{};
     bool hit = false;
     with_model(camera, [&](const auto& model) { hit = model.project(ray, pixel); });
-    valid[i] = finite && hit;
+    valid[i] = finite && hit && std::isfinite(pixel.x) && std::isfinite(pixel.y);
     constexpr double nan = std::numeric_limits<double>::quiet_NaN();
     pixels[2 * i] = valid[i] ? pixel.x : nan;
     pixels[2 * i + 1] = valid[i] ? pixel.y : nan;
@@ -167,7 +169,7 @@ void unproject(const Cameras& cameras, const double* pixels, int64_t count, doub
     Ray<double> ray{};
     bool seen = false;
     with_model(camera, [&](const auto& model) { seen = model.unproject(pixel, ray); });
-    valid[i] = finite && seen && ray.x == ray.x && ray.y == ray.y;
+    valid[i] = finite && seen && std::isfinite(ray.x) && std::isfinite(ray.y);
     constexpr double nan = std::numeric_limits<double>::quiet_NaN();
     rays[3 * i] = valid[i] ? ray.x : nan;
     rays[3 * i + 1] = valid[i] ? ray.y : nan;

@@ -1,7 +1,9 @@
 // The public face of tier 2: resample an image from one camera into another, and its adjoint.
 //
 // Every function writes all of its output, allocates nothing proportional to an image, and gives the same bits for
-// any number of threads. Callers guarantee that shapes match and that pointers cover what the strides reach.
+// any number of threads. Callers guarantee that shapes match and that pointers cover what the strides reach. A source
+// may have any strides. A target (and its gradient) has pixels side by side, stride_x = 1; or, where the source is
+// interleaved, channels side by side, stride_channel = 1.
 #pragma once
 
 #include "image.h"

@@ -77,51 +77,80 @@ void forward_rows(const ForwardJob<T>& job, int64_t batch, int64_t row_begin, in
   }
 }
 
+template <class S>
+RowRange rows_read(const Taps<S>& taps, int count) {
+  RowRange range{std::numeric_limits<int32_t>::max(), -1};
+  for (int i = 0; i < count; ++i) {
+    const int32_t last = taps.row[i] + (taps.below != 0);
+    range.first = taps.live[i] && taps.row[i] < range.first ? taps.row[i] : range.first;
+    range.last = taps.live[i] && last > range.last ? last : range.last;
+  }
+  return range;
+}
+
 template <class T>
-void backward_coordinate_rows(const BackwardJob<T>& job, int64_t batch, int64_t row_begin, int64_t row_end) {
+void backward_target_rows(const BackwardJob<T>& job, int64_t batch, int64_t row_begin, int64_t row_end) {
   const Image &source = job.source, &grad_target = job.grad_target;
+  const int64_t runs = runs_in_row(grad_target.width);
   alignas(64) T x[run_length], y[run_length];
   Taps<T> taps;
   with_storage<T>(source.type, [&](auto* storage) {
     using D = std::remove_pointer_t<decltype(storage)>;
     for_each_run(grad_target.width, row_begin, row_end, [&](int64_t row, int64_t column, int count) {
+      const int64_t row_index = batch * grad_target.height + row;
       map_run(job.geometries[batch], row, column, count, x, y);
-      take_taps(source, job.interpolation, job.padding, count, x, y, true, taps);
+      take_taps(source, job.interpolation, job.padding, count, x, y, job.row_gradients != nullptr, taps);
+      if (job.row_ranges) job.row_ranges[row_index * runs + column / run_length] = rows_read(taps, count);
+      if (!job.row_gradients) return;
       alignas(64) T grad_x[run_length], grad_y[run_length];
       sample_run_adjoint_coordinates(source, pixels<const D>(source, batch), taps, count, grad_target,
                                      pixels<const D>(grad_target, batch, row, column), grad_x, grad_y);
       map_run_adjoint(job.geometries[batch], row, column, count, grad_x, grad_y, job.want_target,
-                      job.row_gradients[batch * grad_target.height + row]);
+                      job.row_gradients[row_index]);
     });
   });
 }
 
 template <class T>
-void backward_image_rows(const BackwardJob<T>& job, int64_t batch, int64_t row_begin, int64_t row_end) {
-  const Image &source = job.source, &grad_target = job.grad_target, &grad_source = *job.grad_source;
-  for (int64_t c = 0; c < grad_source.channels; ++c) {
+void fill_zero(const Image& image, int64_t batch, int64_t row_begin, int64_t row_end) {
+  const bool dense_row = image.interleaved() && image.stride_x == image.channels;
+  const int64_t parts = dense_row ? 1 : image.channels;
+  for (int64_t part = 0; part < parts; ++part) {
     for (int64_t row = row_begin; row < row_end; ++row) {
-      T* out = pixels<T>(grad_source, batch, row) + c * grad_source.stride_channel;
-      for (int64_t column = 0; column < grad_source.width; ++column) out[column * grad_source.stride_x] = 0;
+      T* out = pixels<T>(image, batch, row) + part * image.stride_channel;
+      if (dense_row || image.stride_x == 1) {
+        std::memset(out, 0, static_cast<size_t>(dense_row ? image.width * image.channels : image.width) * sizeof(T));
+      } else {
+        for (int64_t column = 0; column < image.width; ++column) out[column * image.stride_x] = 0;
+      }
     }
   }
+}
+
+template <class T>
+void backward_source_rows(const BackwardJob<T>& job, int64_t batch, int64_t row_begin, int64_t row_end) {
+  const Image &grad_target = job.grad_target, &grad_source = *job.grad_source;
+  const int64_t runs = runs_in_row(grad_target.width);
+  const RowRange band{static_cast<int32_t>(row_begin), static_cast<int32_t>(row_end - 1)};
+  fill_zero<T>(grad_source, batch, row_begin, row_end);
   alignas(64) T x[run_length], y[run_length];
   Taps<T> taps;
-  with_storage<T>(source.type, [&](auto* storage) {
+  with_storage<T>(job.source.type, [&](auto* storage) {
     using D = std::remove_pointer_t<decltype(storage)>;
     for_each_run(grad_target.width, 0, grad_target.height, [&](int64_t row, int64_t column, int count) {
+      const RowRange& range = job.row_ranges[(batch * grad_target.height + row) * runs + column / run_length];
+      if (range.last < band.first || range.first > band.last) return;
       map_run(job.geometries[batch], row, column, count, x, y);
       take_taps(grad_source, job.interpolation, job.padding, count, x, y, false, taps);
       sample_run_adjoint_image(grad_source, pixels<T>(grad_source, batch), taps, count, grad_target,
-                               pixels<const D>(grad_target, batch, row, column), static_cast<int>(row_begin),
-                               static_cast<int>(row_end));
+                               pixels<const D>(grad_target, batch, row, column), band);
     });
   });
 }
 
 template <class T>
 constexpr RowKernels<T> row_kernels() {
-  return {forward_rows<T>, backward_coordinate_rows<T>, backward_image_rows<T>};
+  return {forward_rows<T>, backward_target_rows<T>, backward_source_rows<T>};
 }
 
 }  // namespace FISHEYEREC_ISA

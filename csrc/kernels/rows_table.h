@@ -14,24 +14,32 @@ struct ForwardJob {
   Padding padding;
 };
 
+// The source rows that one run of target pixels reads: [first, last], empty where it reads nothing.
+struct RowRange {
+  int32_t first, last;
+};
+
 template <class T>
 struct BackwardJob {
   const Geometry<T>* geometries;
   Image source, grad_target;
   const Image* grad_source;         // pixels of type T, or null
-  GeometryGradient* row_gradients;  // (batch, target height)
+  GeometryGradient* row_gradients;  // (batch, target height), or null
+  RowRange* row_ranges;             // (batch, target height, runs in a row), or null
   bool want_target;                 // also the target camera's and the rotation's gradients
   Interpolation interpolation;
   Padding padding;
 };
 
+inline int64_t runs_in_row(int64_t width) { return (width + run_length - 1) / run_length; }
+
 template <class T>
 struct RowKernels {
   void (*forward)(const ForwardJob<T>&, int64_t batch, int64_t row_begin, int64_t row_end);
-  // Rows of the target: adds to row_gradients.
-  void (*backward_coordinates)(const BackwardJob<T>&, int64_t batch, int64_t row_begin, int64_t row_end);
-  // Rows of the source, each owned by one call: writes grad_source there.
-  void (*backward_image)(const BackwardJob<T>&, int64_t batch, int64_t row_begin, int64_t row_end);
+  // Rows of the target: adds to row_gradients, writes row_ranges.
+  void (*backward_target)(const BackwardJob<T>&, int64_t batch, int64_t row_begin, int64_t row_end);
+  // Rows of the source, each owned by one call: writes grad_source there; reads row_ranges.
+  void (*backward_source)(const BackwardJob<T>&, int64_t batch, int64_t row_begin, int64_t row_end);
 };
 
 struct InstructionSet {

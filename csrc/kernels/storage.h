@@ -2,8 +2,6 @@
 // computation on them is done in float.
 #pragma once
 
-#include <utility>
-
 #include "../geometry/lanes.h"
 
 namespace fisheyerec {
@@ -15,14 +13,6 @@ struct Float16 {
 struct BFloat16 {
   uint16_t bits;
 };
-
-template <class To, class From>
-FISHEYEREC_INLINE To reinterpret(const From& from) {
-  static_assert(sizeof(To) == sizeof(From));
-  To to;
-  std::memcpy(&to, &from, sizeof to);
-  return to;
-}
 
 // The vector of S with the lanes of T, or the scalar S where T is a scalar.
 template <class S, class T>
@@ -75,7 +65,12 @@ struct Storage<uint8_t> {
   using Bits = uint8_t;
   template <class T>
   static FISHEYEREC_INLINE T widen(const Like<uint8_t, T>& stored) {
-    return convert<T>(convert<Like<int32_t, T>>(stored));
+    using I = Like<int32_t, T>;
+    if constexpr (lanes<T> == 4) {  // four bytes are one number, which compilers otherwise take apart byte by byte
+      return convert<T>((splat<I>(reinterpret<int32_t>(stored)) >> I{0, 8, 16, 24}) & 255);
+    } else {
+      return convert<T>(convert<I>(stored));
+    }
   }
   template <class T>
   static FISHEYEREC_INLINE Like<uint8_t, T> narrow(const T& value) {
@@ -130,21 +125,26 @@ FISHEYEREC_INLINE T load_pixels(const D* memory) {
   return Storage<D>::template widen<T>(load_lanes<Like<typename Storage<D>::Bits, T>>(memory));
 }
 
-// Writes the first `count` >= 1 lanes, at most all of them.
 template <class T, class D>
-FISHEYEREC_INLINE void store_pixels(D* memory, const T& values, int64_t count) {
+FISHEYEREC_INLINE void store_pixels(D* memory, const T& values) {
+  store_lanes(memory, Storage<D>::template narrow<T>(values));
+}
+
+// Writes the first `count` lanes only.
+template <class T, class D>
+FISHEYEREC_INLINE void store_first_pixels(D* memory, const T& values, int64_t count) {
   const auto stored = Storage<D>::template narrow<T>(values);
-  if (lanes<T> == 1 || count >= lanes<T>) {
-    store_lanes(memory, stored);
-  } else if constexpr (is_vector<T>) {
-    for (int lane = 0; lane < count; ++lane) {
+  if constexpr (is_vector<T>) {
+    for (int lane = 0; lane < lanes<T> && lane < count; ++lane) {
       const auto value = stored[lane];
       store_lanes(memory + lane, value);
     }
+  } else {
+    store_lanes(memory, stored);
   }
 }
 
-// The same from memory that ends after `count` >= 1 pixels; further lanes are 0.
+// Reads from memory that ends after `count` >= 1 pixels; further lanes are 0.
 template <class T, class D>
 FISHEYEREC_INLINE T load_first_pixels(const D* memory, int64_t count) {
   if (lanes<T> == 1 || count >= lanes<T>) return load_pixels<T>(memory);

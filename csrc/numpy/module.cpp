@@ -65,13 +65,20 @@ fisheyerec::Image as_image(const py::array& array) {
           stride(1)};
 }
 
-py::tuple resample(const py::array& image, const std::string& source_model, const DoubleArray& source,
+// Channels must lie side by side as in the result; rows and pixels may have any strides.
+py::array with_dense_channels(const py::array& image) {
+  const bool dense = image.shape(2) == 1 || image.strides(2) == image.itemsize();
+  return dense ? image : py::array::ensure(image, py::array::c_style);
+}
+
+py::tuple resample(const py::array& given_image, const std::string& source_model, const DoubleArray& source,
                    const std::string& target_model, const DoubleArray& target,
                    const std::optional<DoubleArray>& source_from_target, int64_t height, int64_t width,
                    const std::string& interpolation, const std::string& padding, int threads) {
-  if (image.ndim() != 3 || image.shape(0) < 1 || image.shape(1) < 1 || image.shape(0) > INT32_MAX ||
-      image.shape(1) > INT32_MAX) {
-    throw py::value_error("expected an image (height, width, channels) with pixels");
+  if (given_image.ndim() != 3) throw py::value_error("expected an image (height, width, channels)");
+  const py::array image = with_dense_channels(given_image);
+  if (image.shape(0) < 1 || image.shape(1) < 1 || image.shape(0) > INT32_MAX || image.shape(1) > INT32_MAX) {
+    throw py::value_error("expected an image with pixels");
   }
   if (height < 1 || width < 1 || height > INT32_MAX || width > INT32_MAX) {
     throw py::value_error("expected a height and width in [1, 2^31)");

@@ -192,6 +192,9 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> resample_backward(Tensor grad, Tensor
   STD_TORCH_CHECK(is_floating(scalar_type(image, op)), op, "(): expected a floating image");
   STD_TORCH_CHECK(!need_rotation || source_from_target.has_value(), op, "(): no rotation to give a gradient for");
 
+  // Kernels want the layout of forward's output; autograd may send an expanded or a transposed gradient.
+  grad = torch::stable::contiguous(grad, memory_format(image));
+
   // float16 and bfloat16 gradients are summed in float32, as thousands of small terms meet in one pixel.
   const DType sum_dtype = dtype == DType::Double ? DType::Double : DType::Float;
   Tensor grad_image = need_image ? empty(sizes_of(image), sum_dtype, memory_format(image)) : empty({0}, dtype);
