@@ -239,26 +239,19 @@ class FisheyeCamera(Camera):
             ValueError: other shapes, or a skew.
         """
         where = f"{cls.__name__}.from_opencv()"
-        K = K if is_tensor(K) else np.asarray(K, dtype=np.float64)
+        K = _checked_matrix(where, K)
         D = D if is_tensor(D) else np.asarray(D, dtype=np.float64)
         if is_tensor(K) or is_tensor(D):
             import torch
 
             like = K if is_tensor(K) else D
             K, D = torch.as_tensor(K).to(like), torch.as_tensor(D).to(like)
-        if K.ndim not in (2, 3) or tuple(K.shape[-2:]) != (3, 3):
-            raise ValueError(f"{where}: expected K of shape (3, 3) or (B, 3, 3), got {tuple(K.shape)}")
         batch = tuple(K.shape[:-2])
         count = math.prod(tuple(D.shape))
         if count != 4 * math.prod(batch):
             raise ValueError(f"{where}: expected 4 coefficients k1..k4 in D for each K, got shape {tuple(D.shape)}")
-        if bool((abs(K[..., 0, 1]) > 1e-9 * abs(K[..., 0, 0])).any()):
-            raise ValueError(
-                f"{where}: expected a camera matrix without skew, got K[0][1] = {float(K[..., 0, 1].max())}"
-            )
         D = D.reshape(*batch, 4)
-        k = [D[..., i] for i in range(4)]
-        columns = [K[..., 0, 0], K[..., 1, 1], K[..., 0, 2], K[..., 1, 2], *k]
+        columns = [*_matrix_columns(K), *(D[..., i] for i in range(4))]
         return cls(_namespace(K).stack(columns, -1), image_size)
 
     def to_opencv(self) -> tuple[np.ndarray, np.ndarray]:
@@ -379,9 +372,13 @@ class PinholeCamera(Camera):
 
     @classmethod
     def from_matrix(cls, K: Any, image_size: tuple[int, int]) -> Self:
-        """Take a (3, 3) camera matrix without skew, such as OpenCV's new camera matrix."""
-        camera = FisheyeCamera.from_opencv(K, np.zeros(4), image_size)
-        return cls(camera.params[..., :4], image_size)
+        """Take a (3, 3) or (B, 3, 3) camera matrix without skew, such as OpenCV's new camera matrix.
+
+        Raises:
+            ValueError: another shape, or a skew.
+        """
+        K = _checked_matrix(f"{cls.__name__}.from_matrix()", K)
+        return cls(_namespace(K).stack(_matrix_columns(K), -1), image_size)
 
     def to_matrix(self) -> np.ndarray:
         """Give the (3, 3) camera matrix in float64."""
@@ -401,8 +398,13 @@ class PinholeCamera(Camera):
             image_size: (height, width) of the view.
 
         Raises:
+            TypeError: camera is not a FisheyeCamera.
             ValueError: image_size below 1.
         """
+        if not isinstance(camera, FisheyeCamera):
+            raise TypeError(
+                f"{cls.__name__}.edge_matched(): expected camera as a FisheyeCamera, got {type(camera).__name__}"
+            )
         height, width = _checked_image_size(cls, image_size)
         source_height, source_width = camera.image_size
         x, y = pixel.centre(source_width), pixel.centre(source_height)
@@ -436,6 +438,19 @@ def load_camera(path: str | os.PathLike[str], *, image_size: tuple[int, int] | N
     file = read_camera_file(path, image_size=image_size)
     models: dict[str, type[Camera]] = {c.model: c for c in (FisheyeCamera, PinholeCamera)}
     return models[file.model](np.array(file.params), (file.height, file.width))
+
+
+def _checked_matrix(where: str, K: Any) -> Any:
+    K = K if is_tensor(K) else np.asarray(K, dtype=np.float64)
+    if K.ndim not in (2, 3) or tuple(K.shape[-2:]) != (3, 3):
+        raise ValueError(f"{where}: expected K of shape (3, 3) or (B, 3, 3), got {tuple(K.shape)}")
+    if bool((abs(K[..., 0, 1]) > 1e-9 * abs(K[..., 0, 0])).any()):
+        raise ValueError(f"{where}: expected a camera matrix without skew, got K[0][1] = {float(K[..., 0, 1].max())}")
+    return K
+
+
+def _matrix_columns(K: Any) -> list[Any]:
+    return [K[..., 0, 0], K[..., 1, 1], K[..., 0, 2], K[..., 1, 2]]
 
 
 def _camera_matrix(params: np.ndarray) -> np.ndarray:
@@ -472,7 +487,7 @@ def _checked_image_size(cls: type[Camera], image_size: Any) -> tuple[int, int]:
         height, width = image_size
         if height != int(height) or width != int(width):
             raise ValueError
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise TypeError(
             f"{cls.__name__}(): expected image_size as two integers (height, width), got {image_size!r}"
         ) from None

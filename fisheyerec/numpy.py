@@ -62,7 +62,7 @@ def distort(
     threads: int | None = None,
 ) -> Resampled:
     """Show a picture as a fisheye camera would have taken it: the mirror of `rectify`, its arguments and errors."""
-    view_from_camera = None if rotation is None else np.swapaxes(np.asarray(rotation), -1, -2)
+    view_from_camera = None if rotation is None else _rotation("distort", rotation).T
     return _resample(DISTORT, picture, view, camera, view_from_camera, interpolation, padding, threads)
 
 
@@ -91,11 +91,11 @@ def _resample(
             raise ValueError(f"{function}(): expected one {name}, got a batch of {camera.params.shape[0]}")
     check_size(names, image.shape[:2], source)
     if source_from_target is not None:
-        source_from_target = np.asarray(source_from_target, dtype=np.float64)
-        if source_from_target.shape != (3, 3):
-            raise ValueError(f"{function}(): expected rotation of shape (3, 3), got {source_from_target.shape}")
-    if threads is not None and threads < 1:
-        raise ValueError(f"{function}(): expected threads of at least 1, got {threads}")
+        source_from_target = _rotation(function, source_from_target)
+    if threads is not None and not (isinstance(threads, int) and threads >= 1):
+        raise ValueError(f"{function}(): expected threads of at least 1, as an integer, got {threads!r}")
+    if any(stride % image.itemsize for stride in image.strides):  # a field of a record array
+        image = image.copy()
     channels = image if image.ndim == 3 else image[..., None]
     height, width = target.image_size
     out, valid = _numpy.resample(
@@ -112,3 +112,13 @@ def _resample(
         threads or 0,
     )
     return Resampled(out.reshape(height, width, *image.shape[2:]), valid)
+
+
+def _rotation(function: str, rotation: Any) -> np.ndarray:
+    try:
+        matrix = np.asarray(rotation, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"{function}(): expected rotation as (3, 3) numbers, got {rotation!r:.60}") from None
+    if matrix.shape != (3, 3):
+        raise ValueError(f"{function}(): expected rotation of shape (3, 3), got {matrix.shape}")
+    return matrix

@@ -21,6 +21,8 @@ from ._arguments import (
 )
 from .cameras import Camera, FisheyeCamera
 
+_FLOATS = (torch.float64, torch.float32, torch.bfloat16, torch.float16)
+
 
 @dataclass(frozen=True, repr=False)
 class Rectification:
@@ -102,7 +104,7 @@ def distort(
     Raises:
         TypeError, ValueError: as `rectify`.
     """
-    view_from_camera = None if rotation is None else rotation.transpose(-1, -2)
+    view_from_camera = None if rotation is None else _rotations("distort", rotation).transpose(-1, -2)
     out, valid = _resample(DISTORT, picture, view, camera, view_from_camera, interpolation, padding)
     return Rectification(out, valid, camera, view)
 
@@ -145,16 +147,7 @@ def _resample(
     padding: str,
 ) -> tuple[Tensor, Tensor]:
     function = names.function
-    if not isinstance(image, Tensor):
-        raise TypeError(
-            f"{function}(): expected {names.image} as a torch.Tensor, got {type(image).__name__}; "
-            "fisheyerec.numpy takes NumPy arrays"
-        )
-    if image.ndim != 4 or image.is_complex():
-        raise ValueError(
-            f"{function}(): expected {names.image} of shape (B, C, H, W) and a real dtype, "
-            f"got {tuple(image.shape)} {image.dtype}"
-        )
+    _check_image(names, image)
     check_options(function, interpolation, padding)
     check_interpolates(names, image.is_floating_point() or image.dtype == torch.uint8, interpolation, image.dtype)
     check_camera(function, names.source, source)
@@ -190,6 +183,20 @@ def _resample(
         interpolation,
         padding,
     )
+
+
+def _check_image(names: Names, image: Any) -> None:
+    if not isinstance(image, Tensor):
+        raise TypeError(
+            f"{names.function}(): expected {names.image} as a torch.Tensor, got {type(image).__name__}; "
+            "fisheyerec.numpy takes NumPy arrays"
+        )
+    unknown_floats = image.is_floating_point() and image.dtype not in _FLOATS
+    if image.ndim != 4 or image.is_complex() or unknown_floats:
+        raise ValueError(
+            f"{names.function}(): expected {names.image} of shape (B, C, H, W) and a real dtype of 16 bits or more, or "
+            f"integers, got {tuple(image.shape)} {image.dtype}"
+        )
 
 
 def _rows(params: Any) -> Tensor:
@@ -248,6 +255,7 @@ class DistortionRectification(nn.Module):
         Returns:
             (B, C, h, w).
         """
+        _check_image(RECTIFY, image)
         camera = FisheyeCamera(params, (image.shape[-2], image.shape[-1]))
         return _resample(RECTIFY, image, camera, self.view, rotation, self.interpolation, self.padding)[0]
 

@@ -55,11 +55,13 @@ FISHEYEREC_INLINE void with_adjacency(const Taps<Scalar<T>>& taps, const Visit& 
   visit(std::false_type{});
 }
 
-// sum of weight[b][a] v[b][a] over the four neighbours of pixels i, i + 1, ...
+// The sum of weight[b][a] v[b][a]. In one place, so that every layout rounds alike.
 template <class T>
-FISHEYEREC_INLINE T blend(const Neighbours<T>& n, const Scalar<T> (&weight)[2][2][run_length], int i) {
-  return load_lanes<T>(weight[0][0] + i) * n.v[0][0] + load_lanes<T>(weight[0][1] + i) * n.v[0][1] +
-         (load_lanes<T>(weight[1][0] + i) * n.v[1][0] + load_lanes<T>(weight[1][1] + i) * n.v[1][1]);
+FISHEYEREC_INLINE T blend(const Neighbours<T>& n, T w00, T w01, T w10, T w11) {
+  const T upper_left = w00 * n.v[0][0], lower_left = w10 * n.v[1][0];
+  const T upper = w01 * n.v[0][1] + upper_left;
+  const T lower = w11 * n.v[1][1] + lower_left;
+  return upper + lower;
 }
 
 // Whether reading `width` channels at every neighbour of the run stays within the source, whose last channels a wider
@@ -98,7 +100,10 @@ FISHEYEREC_NOINLINE void sample_planar(const Image& source, const D* source_pixe
       prefetch_below(source, channel, taps, count);
       const auto value = [&](int i) {
         const Mask<T> live = load_lanes<Index<T>>(taps.live + i) != splat<Index<T>>(0);
-        return select(live, blend(gather<T, adjacent.value>(channel, taps, i), taps.weight, i), splat<T>(0));
+        const auto weight = [&](int b, int a) { return load_lanes<T>(taps.weight[b][a] + i); };
+        const T sum =
+            blend(gather<T, adjacent.value>(channel, taps, i), weight(0, 0), weight(0, 1), weight(1, 0), weight(1, 1));
+        return select(live, sum, splat<T>(0));
       };
       int i = 0;
       for (; i + lanes<T> <= count; i += lanes<T>) store_pixels(out + i, value(i));
@@ -111,11 +116,12 @@ FISHEYEREC_NOINLINE void sample_planar(const Image& source, const D* source_pixe
 template <class T, class D>
 FISHEYEREC_INLINE T blend_channels(const D* at, const Taps<Scalar<T>>& taps, int i) {
   const auto weight = [&](int b, int a) { return splat<T>(taps.weight[b][a][i]); };
-  const T upper = weight(0, 0) * load_pixels<T>(at) + weight(0, 1) * load_pixels<T>(at + taps.right);
-  const T lower =
-      weight(1, 0) * load_pixels<T>(at + taps.below) + weight(1, 1) * load_pixels<T>(at + taps.below + taps.right);
+  const D* below = at + taps.below;
+  const Neighbours<T> n{{{load_pixels<T>(at), load_pixels<T>(at + taps.right)},
+                         {load_pixels<T>(below), load_pixels<T>(below + taps.right)}}};
+  const T sum = blend(n, weight(0, 0), weight(0, 1), weight(1, 0), weight(1, 1));
   // Weights are 0 where nothing is read, but 0 times infinity is not.
-  return select(splat<Mask<T>>(taps.live[i]) != splat<Mask<T>>(0), upper + lower, splat<T>(0));
+  return select(splat<Mask<T>>(taps.live[i]) != splat<Mask<T>>(0), sum, splat<T>(0));
 }
 
 // Channels in steps of T, which divide their number.

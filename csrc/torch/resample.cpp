@@ -34,9 +34,13 @@ fisheyerec::ScalarType scalar_type(const Tensor& tensor, const char* op) {
   using fisheyerec::ScalarType;
   switch (tensor.scalar_type()) {
     case DType::Bool:
+    case DType::Char:
     case DType::Byte: return ScalarType::uint8;
+    case DType::UInt16:
     case DType::Short: return ScalarType::int16;
+    case DType::UInt32:
     case DType::Int: return ScalarType::int32;
+    case DType::UInt64:
     case DType::Long: return ScalarType::int64;
     case DType::Half: return ScalarType::float16;
     case DType::BFloat16: return ScalarType::bfloat16;
