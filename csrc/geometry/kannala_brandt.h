@@ -21,7 +21,8 @@ struct KannalaBrandt {
   S theta_d_max;            // theta_d(theta_max)
   S knots[knot_count + 1];  // theta at even steps of table_position()
 
-  static KannalaBrandt make(const double* params);
+  // invertible: also the table that unproject() needs, which takes longer than a small image.
+  static KannalaBrandt make(const double* params, bool invertible = true);
 
   template <class T>
   FISHEYEREC_INLINE T theta_d(T theta) const {
@@ -221,18 +222,19 @@ inline double monotonic_limit(const double k[4]) {
 }
 
 template <class S>
-KannalaBrandt<S> KannalaBrandt<S>::make(const double* p) {
+KannalaBrandt<S> KannalaBrandt<S>::make(const double* p, bool invertible) {
   KannalaBrandt<double> exact{p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], 0, 0, {}};
   exact.theta_max = monotonic_limit(p + 4);
   exact.theta_d_max = exact.theta_d(exact.theta_max);
 
-  KannalaBrandt<S> camera;
+  KannalaBrandt<S> camera{};
   camera.fx = static_cast<S>(p[0]), camera.fy = static_cast<S>(p[1]);
   camera.cx = static_cast<S>(p[2]), camera.cy = static_cast<S>(p[3]);
   camera.k1 = static_cast<S>(p[4]), camera.k2 = static_cast<S>(p[5]);
   camera.k3 = static_cast<S>(p[6]), camera.k4 = static_cast<S>(p[7]);
   camera.theta_max = static_cast<S>(exact.theta_max);
   camera.theta_d_max = static_cast<S>(exact.theta_d_max);
+  if (!invertible) return camera;
   camera.knots[0] = 0;
   camera.knots[knot_count] = camera.theta_max;
   double low = 0;  // Newton kept inside a bracket by bisection; it starts where the last knot was found

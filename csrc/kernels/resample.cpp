@@ -20,14 +20,14 @@ const RowKernels<T>& row_kernels() {
 }
 
 template <class T>
-Camera<T> prepare_camera(const Cameras& cameras, int64_t batch, bool& finite) {
+Camera<T> prepare_camera(const Cameras& cameras, int64_t batch, bool unprojects, bool& finite) {
   const double* params = cameras.params + batch * cameras.stride;
   for (int i = 0; i < parameter_count(cameras.model); ++i) finite = finite && std::isfinite(params[i]);
   Camera<T> camera{cameras.model, {}, {}};
   if (!finite) return camera;
   switch (cameras.model) {
     case CameraModel::pinhole: camera.pinhole = Pinhole<T>::make(params); break;
-    case CameraModel::kannala_brandt: camera.kannala_brandt = KannalaBrandt<T>::make(params); break;
+    case CameraModel::kannala_brandt: camera.kannala_brandt = KannalaBrandt<T>::make(params, unprojects); break;
   }
   return camera;
 }
@@ -38,8 +38,8 @@ std::vector<Geometry<T>> prepare(const Resampling& resampling, int64_t batch) {
   for (int64_t b = 0; b < batch; ++b) {
     Geometry<T>& geometry = geometries[static_cast<size_t>(b)];
     geometry.finite = true;
-    geometry.source = prepare_camera<T>(resampling.source, b, geometry.finite);
-    geometry.target = prepare_camera<T>(resampling.target, b, geometry.finite);
+    geometry.source = prepare_camera<T>(resampling.source, b, false, geometry.finite);
+    geometry.target = prepare_camera<T>(resampling.target, b, true, geometry.finite);
     geometry.rotated = resampling.source_from_target != nullptr;
     for (int i = 0; i < 9 && geometry.rotated; ++i) {
       const double entry = resampling.source_from_target[b * resampling.rotation_stride + i];
@@ -127,7 +127,7 @@ void resample_backward_as(const Resampling& resampling, const Image& source, con
 template <class Point>
 void for_each_point(const Cameras& cameras, int64_t count, const Point& point) {
   bool finite = true;
-  const Camera<double> camera = prepare_camera<double>(cameras, 0, finite);
+  const Camera<double> camera = prepare_camera<double>(cameras, 0, true, finite);
   for (int64_t i = 0; i < count; ++i) point(camera, i, finite);
 }
 

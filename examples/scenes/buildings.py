@@ -44,9 +44,7 @@ _STYLES = (
 _SHOPFRONTS = ("#2f4a43", "#3b3f4a", "#6b2f2b", "#284a66", "#4a3a2e", "#7b7350")
 _AWNINGS = ("#b5483a", "#3f6b5c", "#d9b25f", "#4a6585", "#e6dcc8")
 
-_GOODS = np.array(
-    [rgb(c) for c in ("#c9bfa8", "#8a5a3c", "#5f7a78", "#b08a4e", "#7a4238", "#39434d")]
-)
+_GOODS = np.array([rgb(c) for c in ("#c9bfa8", "#8a5a3c", "#5f7a78", "#b08a4e", "#7a4238", "#39434d")])
 
 _GROUND = 4.0
 _STOREY = 3.15
@@ -80,11 +78,9 @@ def _sash_windows(bays: _Bays, frame: Colour) -> Material:
         glass = mix(room, rgb("#cfc8b9"), 0.8 * curtain * folds)
         blind = band(y, height * np.where(chance > 0.72, 0.72, 1.0), 9.0, s.dv)
         glass = mix(glass, rgb("#d8d0bd"), blind * 0.85)
-        bars = 1 - (1 - band(np.abs(x), half - 0.06, 9.0, s.du)) * (
-            1 - band(np.abs(x), -0.03, 0.03, s.du)
-        ) * (1 - band(y, -9.0, 0.07, s.dv)) * (1 - band(y, height - 0.06, 9.0, s.dv)) * (
-            1 - band(np.abs(y - 0.62 * height), -0.03, 0.03, s.dv)
-        )
+        bars = 1 - (1 - band(np.abs(x), half - 0.06, 9.0, s.du)) * (1 - band(np.abs(x), -0.03, 0.03, s.du)) * (
+            1 - band(y, -9.0, 0.07, s.dv)
+        ) * (1 - band(y, height - 0.06, 9.0, s.dv)) * (1 - band(np.abs(y - 0.62 * height), -0.03, 0.03, s.dv))
         return mix(glass, frame, bars)
 
     return Material(texture, reflectance=0.14)
@@ -166,9 +162,7 @@ def _upper_storeys(
     bays = _Bays(min(end[axis] for end in ends), pitch, opening)
     top = _GROUND + storeys * _STOREY
     panes = _sash_windows(bays, trim)
-    face.box(
-        (0.05, length - 0.05), (_GROUND, top - 0.1), (-0.9, -_REVEAL), panes, trim, Label.WINDOW
-    )
+    face.box((0.05, length - 0.05), (_GROUND, top - 0.1), (-0.9, -_REVEAL), panes, trim, Label.WINDOW)
     shell = (-_REVEAL, 0.0)
     edges = np.concatenate([[0], np.repeat((np.arange(count) + 0.5) * pitch, 2), [length]])
     edges[1:-1] += np.tile([-opening / 2, opening / 2], count)
@@ -240,9 +234,7 @@ def _shopfront(
             )
 
 
-def _entrance(
-    face: Placement, length: float, material: Material, wall: Colour, trim: Colour, leaf: Colour
-) -> None:
+def _entrance(face: Placement, length: float, material: Material, wall: Colour, trim: Colour, leaf: Colour) -> None:
     """A ground floor of flats: a plinth, windows, and a front door with steps."""
     count = max(2, round(length / 2.5))
     pitch = length / count
@@ -275,9 +267,7 @@ def _entrance(
                 rgb("#a8a196"),
                 Label.BUILDING,
             )
-            face.box(
-                (left - 0.2, right + 0.2), (head, head + 0.18), (0, 0.3), TRIM, trim, Label.BUILDING
-            )
+            face.box((left - 0.2, right + 0.2), (head, head + 0.18), (0, 0.3), TRIM, trim, Label.BUILDING)
             continue
         face.box((left, right), (0, sill), shell, material, wall, Label.BUILDING)
         face.box(
@@ -370,9 +360,7 @@ def clock_tower(front: Placement, height: float) -> None:
         Label.BUILDING,
     )
     ridge, slate = height + 7, rgb("#5d7468")
-    front.prism(
-        [(-3.6, height), (0, ridge), (3.6, height)], (-7.1, 0.1), SLATE, slate, Label.BUILDING
-    )
+    front.prism([(-3.6, height), (0, ridge), (3.6, height)], (-7.1, 0.1), SLATE, slate, Label.BUILDING)
 
 
 def weathered(s: Surface) -> np.ndarray:

@@ -135,9 +135,7 @@ def picture(wall: Placement, along: Interval, height: Interval, seed: int, frame
     wall.box(along, height, (0, 0.012), PAINT, rgb("#f3efe6"), Label.PICTURE)
     mount = 0.12 * min(a1 - a0, h1 - h0) + 0.025
     art = Material(painting(seed))
-    wall.box(
-        (a0 + mount, a1 - mount), (h0 + mount, h1 - mount), (0, 0.014), art, frame, Label.PICTURE
-    )
+    wall.box((a0 + mount, a1 - mount), (h0 + mount, h1 - mount), (0, 0.014), art, frame, Label.PICTURE)
 
 
 def curtain(wall: Placement, along: Interval, top: float, colour: Colour) -> None:

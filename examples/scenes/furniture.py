@@ -45,9 +45,7 @@ def _woven(s: Surface) -> np.ndarray:
 RUG = Material(_woven)
 
 
-def bookcase(
-    wall: Placement, along: Interval, top: float, rng: np.random.Generator, colour: Colour
-) -> None:
+def bookcase(wall: Placement, along: Interval, top: float, rng: np.random.Generator, colour: Colour) -> None:
     """Shelves full of books over a row of cupboards."""
     (a0, a1), depth, board, base = along, 0.34, 0.035, 0.72
     label = Label.FURNITURE
@@ -84,9 +82,7 @@ def bookcase(
             _books(wall, span, (low, high - board), depth, rng)
 
 
-def _books(
-    wall: Placement, along: Interval, height: Interval, depth: float, rng: np.random.Generator
-) -> None:
+def _books(wall: Placement, along: Interval, height: Interval, depth: float, rng: np.random.Generator) -> None:
     """A row of books, now and then broken by a pile or a vase."""
     a, end = along[0] + 0.004, along[1]
     low, clearance = height[0], height[1] - height[0]

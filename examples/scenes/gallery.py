@@ -82,17 +82,13 @@ class _Gallery:
         side, down, up = rgb("#e6e1d8"), rgb("#e4dac8"), rgb("#e6e4e2")
         layers = [
             AmbientLayer(open_air, 0.75 * np.array([side, down, side, side, up, side])),
-            AmbientLayer(
-                space.lit_by(self.lamps) * open_air, np.tile(brightness * rgb("#fff3e0"), (6, 1))
-            ),
+            AmbientLayer(space.lit_by(self.lamps) * open_air, np.tile(brightness * rgb("#fff3e0"), (6, 1))),
         ]
         ambient = AmbientLight(space.lo, space.voxel, layers)
         return World(self.solids, _NO_SUN, ambient, np.zeros_like, exposure=0.95)
 
 
-def chessboard(
-    seed: int = 0, squares: tuple[int, int] = (7, 10), square: float = 0.3, distance: float = 2.0
-) -> Scene:
+def chessboard(seed: int = 0, squares: tuple[int, int] = (7, 10), square: float = 0.3, distance: float = 2.0) -> Scene:
     """A chessboard of (rows, columns) `squares` of `square` metres, `distance` metres ahead.
 
     The camera faces the board's centre squarely; `corners` are its inner corners (rows - 1,
@@ -108,9 +104,7 @@ def chessboard(
     half, low = columns * square / 2, 0.35
     top = low + rows * square
     width, height = max(2.4, half + 0.9), max(2.9, top + 0.4)
-    hall = _Gallery(
-        (-width, width), (-5.0, distance + 0.03), height, rgb(_WALLS[seed % len(_WALLS)])
-    )
+    hall = _Gallery((-width, width), (-5.0, distance + 0.03), height, rgb(_WALLS[seed % len(_WALLS)]))
     shade = rgb(rng.choice(_ACCENTS))
     ground = tiles((0.5, 0.5), rgb("#8d857a"), second=shade, reflectance=0.02)
     hall.floor.box(hall.x, (-0.3, 0), hall.z, ground, rgb("#d8d0c2"), Label.FLOOR)

@@ -72,9 +72,7 @@ class Occupancy:
             total = np.pad(volume, ends, mode="edge").cumsum(axis, dtype=np.float32)
             size = volume.shape[axis]
             width = 2 * reach + 1
-            volume = (
-                total.take(range(width, width + size), axis) - total.take(range(size), axis)
-            ) / width
+            volume = (total.take(range(width, width + size), axis) - total.take(range(size), axis)) / width
         return volume
 
     def openness(self, reaches: dict[float, float]) -> np.ndarray:

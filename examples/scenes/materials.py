@@ -171,10 +171,7 @@ def bricks(mortar: np.ndarray, length: float = 0.24, height: float = 0.077) -> M
         row = np.floor(s.v / height)
         shifted = s.u + (row % 2) * length / 2
         tone = cell_random(row, np.floor(shifted / length)) - 0.5
-        face = (
-            s.colour
-            * np.exp(0.5 * tone * _fade(length / 2, s.du) + 0.10 * noise(s.u / 2, s.v / 2))[:, None]
-        )
+        face = s.colour * np.exp(0.5 * tone * _fade(length / 2, s.du) + 0.10 * noise(s.u / 2, s.v / 2))[:, None]
         bed = stripes(s.v, height, joint, s.dv)
         head = stripes(shifted, length, joint, s.du)
         return mix(face, np.broadcast_to(mortar, face.shape), 1 - (1 - bed) * (1 - head))
@@ -202,9 +199,7 @@ def tiles(
             odd = stripes(s.u, 2 * size[0], size[0], s.du)
             face = mix(face, second, odd + (1 - 2 * odd) * stripes(s.v, 2 * size[1], size[1], s.dv))
         face = face * np.exp(tone + 0.04 * noise(s.u / 1.3, s.v / 1.3))[:, None]
-        lines = 1 - (1 - stripes(s.u, size[0], joint, s.du)) * (
-            1 - stripes(s.v, size[1], joint, s.dv)
-        )
+        lines = 1 - (1 - stripes(s.u, size[0], joint, s.du)) * (1 - stripes(s.v, size[1], joint, s.dv))
         return mix(face, np.broadcast_to(grout, face.shape), lines)
 
     return Material(texture, reflectance)

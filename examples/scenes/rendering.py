@@ -80,9 +80,7 @@ class World:
 
     def is_smooth(self, origin: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Whether (N,) two rays (3, N) from each origin meet one flat surface of one colour."""
-        distances, indices = zip(
-            *(self.tree.nearest(origin, ray) for ray in (first, second)), strict=True
-        )
+        distances, indices = zip(*(self.tree.nearest(origin, ray) for ray in (first, second)), strict=True)
         both = np.flatnonzero((indices[0] >= 0) & (indices[1] >= 0))
         (t0, t1), (i0, i1) = ([each[both] for each in pair] for pair in (distances, indices))
         points = [origin[:, both] + t * r[:, both] for t, r in ((t0, first), (t1, second))]
@@ -169,9 +167,7 @@ class World:
         size = hi - lo
         inside = (point - lo) / size
         a, b = inside[across, columns], inside[up, columns]
-        edge = np.minimum(
-            np.minimum(a, 1 - a) * size[across, columns], np.minimum(b, 1 - b) * size[up, columns]
-        )
+        edge = np.minimum(np.minimum(a, 1 - a) * size[across, columns], np.minimum(b, 1 - b) * size[up, columns])
         return Surface(
             u=point[across, columns],
             v=flip * point[up, columns],
@@ -207,9 +203,7 @@ class World:
         bounces: int,
     ) -> np.ndarray:
         cosine = -(normal * ray).sum(0)
-        fresnel = reflectance + (1 - reflectance) * np.clip(1 - cosine, 0, 1) ** 5 * np.sqrt(
-            reflectance
-        )
+        fresnel = reflectance + (1 - reflectance) * np.clip(1 - cosine, 0, 1) ** 5 * np.sqrt(reflectance)
         mirrored = ray + 2 * cosine * normal
         image = self.radiance(point + 1e-4 * normal, mirrored, footprint, bounces - 1)[0]
         return light + fresnel[:, None] * (image - light)
@@ -291,9 +285,7 @@ class Scene:
         rows = np.flatnonzero(visible)
         aside = np.cross(courses[:, rows], ray[:, rows], axis=0)
         aside *= 1e-3 / np.linalg.norm(aside, axis=0)
-        visible[rows] = ~self.world.is_smooth(
-            origin[:, rows], ray[:, rows] - aside, ray[:, rows] + aside
-        )
+        visible[rows] = ~self.world.is_smooth(origin[:, rows], ray[:, rows] - aside, ray[:, rows] + aside)
         return visible
 
 
@@ -316,9 +308,7 @@ def render(scene: Scene, rays: np.ndarray, *, footprint: float | np.ndarray = 0.
     return Rendering(encode_srgb(light), labels, depth)
 
 
-def render_camera(
-    scene: Scene, unproject: Unproject, image_size: tuple[int, int], supersample: int = 3
-) -> Rendering:
+def render_camera(scene: Scene, unproject: Unproject, image_size: tuple[int, int], supersample: int = 3) -> Rendering:
     """Picture of (height, width) pixels through the camera that `unproject` describes.
 
     `unproject` takes pixel coordinates (..., 2) as (x, y), integers at pixel centres, to camera
@@ -327,13 +317,9 @@ def render_camera(
     is black, class 0, at an infinite depth.
     """
     if len(image_size) != 2 or min(image_size) < 1:
-        raise ValueError(
-            f"render_camera(): expected image_size as positive (height, width), got {image_size}"
-        )
+        raise ValueError(f"render_camera(): expected image_size as positive (height, width), got {image_size}")
     if supersample < 1 or supersample % 2 == 0:
-        raise ValueError(
-            f"render_camera(): expected supersample as an odd positive number, got {supersample}"
-        )
+        raise ValueError(f"render_camera(): expected supersample as an odd positive number, got {supersample}")
     height, width = image_size
     image = np.zeros((height, width, 3), dtype=np.uint8)
     labels = np.zeros((height, width), dtype=np.uint8)
@@ -386,18 +372,14 @@ def _footprint(rays: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.sqrt(area))
 
 
-def _trace(
-    scene: Scene, rays: np.ndarray, footprint: float | np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _trace(scene: Scene, rays: np.ndarray, footprint: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Display light (..., 3), class (...) and depth (...) along camera rays (..., 3)."""
     rays = np.asarray(rays, dtype=float)
     if rays.ndim == 0 or rays.shape[-1] != 3:
         raise ValueError(f"render(): expected rays of shape (..., 3), got {rays.shape}")
     shape = rays.shape[:-1]
     if np.shape(footprint) not in ((), shape):
-        raise ValueError(
-            f"render(): expected footprint of shape () or {shape}, got {np.shape(footprint)}"
-        )
+        raise ValueError(f"render(): expected footprint of shape () or {shape}, got {np.shape(footprint)}")
     flat = rays.reshape(-1, 3)
     angle = np.broadcast_to(footprint, shape).ravel()
     length = np.linalg.norm(flat, axis=1)

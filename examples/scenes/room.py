@@ -123,20 +123,14 @@ def _ceiling(floor: Placement, x: Interval, z: Interval, wooden: bool, timber: C
     crossings = np.linspace(*z, round((z[1] - z[0]) / (0.95 if wooden else 1.35)) + 1)[1:-1]
     if wooden:
         for c in crossings:
-            floor.box(
-                x, (HEIGHT - 0.17, HEIGHT), (c - 0.08, c + 0.08), wood(), timber, Label.CEILING
-            )
+            floor.box(x, (HEIGHT - 0.17, HEIGHT), (c - 0.08, c + 0.08), wood(), timber, Label.CEILING)
         return
     columns = np.linspace(*x, round((x[1] - x[0]) / 1.35) + 1)[1:-1]
     for low, half in ((0.13, 0.09), (0.05, 0.15)):
         for c in crossings:
-            floor.box(
-                x, (HEIGHT - low, HEIGHT), (c - half, c + half), plaster, white, Label.CEILING
-            )
+            floor.box(x, (HEIGHT - low, HEIGHT), (c - half, c + half), plaster, white, Label.CEILING)
         for c in columns:
-            floor.box(
-                (c - half, c + half), (HEIGHT - low, HEIGHT), z, plaster, white, Label.CEILING
-            )
+            floor.box((c - half, c + half), (HEIGHT - low, HEIGHT), z, plaster, white, Label.CEILING)
 
 
 def room(seed: int = 0) -> Scene:
@@ -182,9 +176,7 @@ def room(seed: int = 0) -> Scene:
     return Scene(World(solids, sun, ambient, outdoors, exposure=0.95), position, np.eye(3))
 
 
-def _enclose(
-    walls: _Walls, x: Interval, z: Interval, door_at: float, glass: Material, scheme: _Scheme
-) -> None:
+def _enclose(walls: _Walls, x: Interval, z: Interval, door_at: float, glass: Material, scheme: _Scheme) -> None:
     """The four walls with their windows, curtains, doors and panelling."""
     plaster, trim = painted(0.02), scheme.trim
     for wall, span, openings in (
@@ -194,9 +186,7 @@ def _enclose(
         (walls.behind, x, (REAR_WINDOW,)),
     ):
         ends = (span[0] - THICKNESS, span[1] + THICKNESS)
-        wall_with_openings(
-            wall, ends, HEIGHT, THICKNESS, openings, plaster, scheme.wall, Label.WALL
-        )
+        wall_with_openings(wall, ends, HEIGHT, THICKNESS, openings, plaster, scheme.wall, Label.WALL)
         for a0, a1, h0, h1 in openings:
             fittings.window(wall, (a0, a1), (h0, h1), (4, 4), glass, THICKNESS, trim)
     for a0, a1, *_ in LEFT_WINDOWS:
@@ -211,9 +201,7 @@ def _enclose(
     _panelling(walls.behind, x, [(-2.5, -0.5), (1.19, 2.36)], trim)
 
 
-def _furnish_sitting(
-    walls: _Walls, sofa_at: float, seed: int, timber: Colour, scheme: _Scheme
-) -> None:
+def _furnish_sitting(walls: _Walls, sofa_at: float, seed: int, timber: Colour, scheme: _Scheme) -> None:
     """A sofa under three pictures, a rug with a low table, and a sideboard."""
     right, floor = walls.right, walls.floor
     furniture.sofa(right.at(sofa_at, 0.03), 2.3, scheme.cloth, scheme.accent)
@@ -231,9 +219,7 @@ def _furnish_sitting(
     low.box((-0.17, 0.04), (0.43, 0.455), (-0.27, 0.02), fittings.PAINT, scheme.trim, label)
 
 
-def _furnish_dining(
-    floor: Placement, timber: Colour, scheme: _Scheme, rng: np.random.Generator
-) -> None:
+def _furnish_dining(floor: Placement, timber: Colour, scheme: _Scheme, rng: np.random.Generator) -> None:
     """A table with four chairs under two lamps, and plants in the corners."""
     dining = floor.at(-1.45, 1.25)
     furniture.table(dining.sideways(), 1.9, 0.9, timber)

@@ -129,9 +129,7 @@ class _Node:
     children: tuple[_Node, ...] = ()
 
 
-def _split(
-    indices: np.ndarray, lows: np.ndarray, highs: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _split(indices: np.ndarray, lows: np.ndarray, highs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two parts of the solids `indices` (N,) with bounds (N, 3) that few rays will both meet."""
     centres = lows + highs
     half = indices.size // 2
@@ -145,9 +143,7 @@ def _split(
         order = centres[:, axis].argsort(kind="stable")
         backwards = order[::-1]
         before = _area(np.minimum.accumulate(lows[order]), np.maximum.accumulate(highs[order]))[:-1]
-        after = _area(
-            np.minimum.accumulate(lows[backwards]), np.maximum.accumulate(highs[backwards])
-        )[-2::-1]
+        after = _area(np.minimum.accumulate(lows[backwards]), np.maximum.accumulate(highs[backwards]))[-2::-1]
         cost = before * counts + after * counts[::-1]
         cut = int(cost.argmin())
         if cost[cut] < best:
@@ -180,9 +176,7 @@ class SolidTree:
         left, right = _split(indices, lows, highs)
         return _Node(*node, children=(self._build(left), self._build(right)))
 
-    def nearest(
-        self, origin: np.ndarray, ray: np.ndarray, beyond: float = 1e-6
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def nearest(self, origin: np.ndarray, ray: np.ndarray, beyond: float = 1e-6) -> tuple[np.ndarray, np.ndarray]:
         """First hit of rays (3, N): distance (N,), inf for none, and solid index (N,), -1 for none.
 
         Only hits farther than `beyond` count. A solid is seen from outside only.
@@ -210,8 +204,7 @@ class SolidTree:
             if node.solid is None:
                 # The child popped first should be the closer one, so that it hides the other.
                 pending.extend(
-                    (child, active)
-                    for child in sorted(node.children, key=lambda c: -heading @ (c.lo + c.hi))
+                    (child, active) for child in sorted(node.children, key=lambda c: -heading @ (c.lo + c.hi))
                 )
                 continue
             solid = self.solids[node.solid]
@@ -240,9 +233,7 @@ class Placement:
 
     def __post_init__(self) -> None:
         along, out = self.along, self.out
-        self._frame = np.array(
-            [[along[0], 0, out[0]], [0, -1, 0], [along[1], 0, out[1]]], dtype=float
-        )
+        self._frame = np.array([[along[0], 0, out[0]], [0, -1, 0], [along[1], 0, out[1]]], dtype=float)
 
     def at(self, along: float, out: float, turned: bool = False) -> Placement:
         """The placement moved to (`along`, `out`), facing the other way when `turned`."""
@@ -279,9 +270,7 @@ class Placement:
         corners = np.sort([self.point(*p) for p in zip(along, height, out, strict=True)], axis=0)
         column = ("along", "height", "out").index(axis)
         world_axis = int(np.abs(self._frame[:, column]).argmax())
-        self.solids.append(
-            Solid(*corners, material, colour, label, shape, world_axis, None, casts_shadow)
-        )
+        self.solids.append(Solid(*corners, material, colour, label, shape, world_axis, None, casts_shadow))
 
     def prism(
         self,

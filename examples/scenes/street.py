@@ -59,9 +59,7 @@ def _asphalt(s: Surface) -> np.ndarray:
         patch = band(s.u, x0, x1, s.du) * band(s.v, z0, z1, s.dv)
         inner = band(s.u, x0 + 0.04, x1 - 0.04, s.du) * band(s.v, z0 + 0.04, z1 - 0.04, s.dv)
         tone *= 1 - 0.14 * patch - 0.3 * (patch - inner)
-    gutter = band(np.abs(s.u), ROAD - 0.45, ROAD, s.du) * (
-        1 - band(s.v, CROSSING[0], CROSSING[1], s.dv)
-    )
+    gutter = band(np.abs(s.u), ROAD - 0.45, ROAD, s.du) * (1 - band(s.v, CROSSING[0], CROSSING[1], s.dv))
     base = mix(s.colour * tone[:, None], rgb("#8b8882"), 0.7 * gutter)
     wear = np.clip(0.9 + 0.10 * noise(s.u * 0.9, s.v * 0.9), 0, 1)
     return mix(base, rgb("#dcd9d0"), 0.9 * wear * _markings(s.u, s.v, s.du, s.dv))
@@ -234,9 +232,7 @@ def bench(place: Placement) -> None:
         place.box((a, a + 0.06), (0.4, 0.86), (-0.1, -0.07), IRON, iron, Label.FURNITURE)
 
 
-def _row(
-    front: Placement, span: Interval, rng: np.random.Generator, corners: tuple[bool, bool]
-) -> None:
+def _row(front: Placement, span: Interval, rng: np.random.Generator, corners: tuple[bool, bool]) -> None:
     """Houses side by side along a building line; the first and the last may be at a corner."""
     start, stop = span
     count = max(1, round((stop - start) / 11.5))
@@ -271,9 +267,7 @@ def street(seed: int = 0) -> Scene:
             ground.box(tuple(edge), (0, 0.135), (low, high), STONE, kerb, Label.SIDEWALK)
             for z in (low, high):
                 if z in CROSSING:
-                    ground.box(
-                        tuple(x), (0, 0.135), (z - 0.08, z + 0.08), STONE, kerb, Label.SIDEWALK
-                    )
+                    ground.box(tuple(x), (0, 0.135), (z - 0.08, z + 0.08), STONE, kerb, Label.SIDEWALK)
         _row(sides[side], (-_REACH, _CORNERS[0]), rng, (False, True))
         _row(sides[side], (_CORNERS[1], _REACH + 30), rng, (True, False))
         for z, facing in ((_CORNERS[0], 1), (_CORNERS[1], -1)):
