@@ -195,9 +195,7 @@ def test_invalid_pixels_and_unusable_rays_are_black_and_unlabelled():
 
 def test_chessboard_corners_part_four_squares():
     board = scenes.chessboard(1, squares=(5, 8), square=0.2, distance=1.5)
-    board = board.posed(
-        np.add(board.position, [0.2, 0.1, 0.3]), yaw_deg=12, pitch_deg=-7, roll_deg=4
-    )
+    board = board.posed(np.add(board.position, [0.2, 0.1, 0.3]), yaw_deg=12, pitch_deg=-7, roll_deg=4)
     corners = board.corners
     assert corners.shape == (4, 7, 3)
     right, down = corners[0, 1] - corners[0, 0], corners[1, 0] - corners[0, 0]

@@ -74,7 +74,9 @@ FISHEYEREC_INLINE Tap<T> nearest_tap(T x, int size, bool extend) {
   const T zero = splat<T>(0), one = splat<T>(1), end = splat<T>(size - 1);
   const Mask<T> live = extend ? x == x : inside(x, static_cast<Scalar<T>>(size));
   const T clamped = select(x > zero, select(x < end, x, end), zero);
-  return {nearest_index(clamped), {select(live, one, zero), zero}, {zero, zero}, live};
+  // Beyond 2^24 pixels, size - 1 may be no float and round up.
+  const Index<T> index = nearest_index(clamped), last = splat<Index<T>>(size - 1);
+  return {select(index < last, index, last), {select(live, one, zero), zero}, {zero, zero}, live};
 }
 
 }  // namespace fisheyerec

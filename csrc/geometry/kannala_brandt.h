@@ -17,6 +17,7 @@ struct KannalaBrandt {
   static constexpr int knot_count = 64;  // cells of the table the Newton inverse starts from
 
   S fx, fy, cx, cy, k1, k2, k3, k4;
+  S abs_k[4];               // |k1|..|k4|
   S theta_max;              // in [0, pi]
   S theta_d_max;            // theta_d(theta_max)
   S knots[knot_count + 1];  // theta at even steps of table_position()
@@ -57,7 +58,7 @@ struct KannalaBrandt {
   template <class T>
   FISHEYEREC_INLINE Inverse<T> theta_from_theta_d(T distance) const {
     constexpr int steps = sizeof(S) == 8 ? 8 : 3;
-    const T zero = splat<T>(0);
+    const T zero = splat<T>(0), flat = splat<T>(sizeof(S) == 8 ? 0x1p-26 : 0x1p-12);  // about sqrt(epsilon)
     const Mask<T> in_range =
         (distance >= zero) & (distance <= splat<T>(theta_d_max)) & splat<Mask<T>>(theta_d_max > 0 ? -1 : 0);
     // A theta_d_max beyond the number type makes the position NaN, which is no index.
@@ -72,13 +73,17 @@ struct KannalaBrandt {
       const T residual = theta_d(theta) - distance;
       low = select(residual < zero, theta, low);
       high = select(residual < zero, high, theta);
-      const T next = theta - residual / theta_d_derivative(theta);
+      // Right at the rim rounding makes the slope 0 or less; a step by a small slope stays near, bisection would not.
+      const T slope = theta_d_derivative(theta);
+      const T next = theta - residual / select(slope > flat, slope, flat);
       theta = select((next >= low) & (next <= high), next, (low + high) * S(0.5));
     }
     const T residual = theta_d(theta) - distance;
     // At the rim the slope is 0 and theta itself is only known to the square root of epsilon; what counts is where
-    // the ray lands.
-    const T tolerance = 16 * std::numeric_limits<S>::epsilon() * (S(1) + distance);
+    // the ray lands, as exactly as the sum that theta_d is can be rounded.
+    const T u = theta * theta;
+    const T terms = theta * (S(1) + u * (abs_k[0] + u * (abs_k[1] + u * (abs_k[2] + u * abs_k[3]))));
+    const T tolerance = 16 * std::numeric_limits<S>::epsilon() * (S(1) + terms);
     const Mask<T> converged = in_range & (residual <= tolerance) & (-residual <= tolerance);
     return {theta, converged};
   }
@@ -223,7 +228,7 @@ inline double monotonic_limit(const double k[4]) {
 
 template <class S>
 KannalaBrandt<S> KannalaBrandt<S>::make(const double* p, bool invertible) {
-  KannalaBrandt<double> exact{p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], 0, 0, {}};
+  KannalaBrandt<double> exact{p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], {}, 0, 0, {}};
   exact.theta_max = monotonic_limit(p + 4);
   exact.theta_d_max = exact.theta_d(exact.theta_max);
 
@@ -232,6 +237,7 @@ KannalaBrandt<S> KannalaBrandt<S>::make(const double* p, bool invertible) {
   camera.cx = static_cast<S>(p[2]), camera.cy = static_cast<S>(p[3]);
   camera.k1 = static_cast<S>(p[4]), camera.k2 = static_cast<S>(p[5]);
   camera.k3 = static_cast<S>(p[6]), camera.k4 = static_cast<S>(p[7]);
+  for (int i = 0; i < 4; ++i) camera.abs_k[i] = static_cast<S>(std::abs(p[4 + i]));
   camera.theta_max = static_cast<S>(exact.theta_max);
   camera.theta_d_max = static_cast<S>(exact.theta_d_max);
   if (!invertible) return camera;

@@ -36,10 +36,13 @@ FISHEYEREC_INLINE Mask<T> inside(T x, Scalar<T> size) {
   return (x >= -half_pixel<T>)&(x <= size - half_pixel<T>);
 }
 
-// The integer pixel that contains coordinate x, which must lie in [0, size - 1].
+// The integer pixel that contains coordinate x, which must lie in [0, size - 1]. Not truncate(x + 1/2): in float that
+// sum rounds up to the next integer for large x.
 template <class T>
 FISHEYEREC_INLINE Index<T> nearest_index(T x) {
-  return truncate(x + half_pixel<T>);
+  const Index<T> whole = truncate(x);
+  const Index<T> none = splat<Index<T>>(0);
+  return whole + select(x - to_real<T>(whole) >= splat<T>(half_pixel<T>), none + 1, none);
 }
 
 // ray_source = R ray_target, R row-major.

@@ -19,7 +19,7 @@ FISHEYEREC_INLINE T atan2_upper(T y, T x) {
   const Mask<T> steep = y > abs_x;
   const T large = select(steep, y, abs_x);
   const T small = select(steep, abs_x, y);
-  const T t = select(large > zero, small / large, zero);
+  const T t = select(large == zero, zero, small / large);  // NaN stays NaN
   const T u = t * t;
   T p = u * -0.0017437011701986194f + 0.010748500004410744f;
   p = p * u - 0.030991289764642715f;

@@ -81,7 +81,7 @@ template <class S>
 RowRange rows_read(const Taps<S>& taps, int count) {
   RowRange range{std::numeric_limits<int32_t>::max(), -1};
   for (int i = 0; i < count; ++i) {
-    const int32_t last = taps.row[i] + (taps.below != 0);
+    const int32_t last = taps.row[i] + taps.two_rows;
     range.first = taps.live[i] && taps.row[i] < range.first ? taps.row[i] : range.first;
     range.last = taps.live[i] && last > range.last ? last : range.last;
   }

@@ -248,7 +248,7 @@ FISHEYEREC_NOINLINE void sample_run_adjoint_image(const Image& grad_source, S* g
   using T = Pack<S>;
   // Pixels whose upper (b = 0) or lower (b = 1) neighbours lie in the band.
   int32_t selected[2][run_length], selected_count[2] = {0, 0};
-  for (int b = 0; b < (taps.below != 0 ? 2 : 1); ++b) {
+  for (int b = 0; b < (taps.two_rows ? 2 : 1); ++b) {
     for (int i = 0; i < count; ++i) {
       const int32_t row = taps.row[i] + b;
       selected[b][selected_count[b]] = i;

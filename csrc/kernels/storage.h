@@ -110,8 +110,11 @@ struct Storage<Float16> {
   static FISHEYEREC_INLINE Like<uint16_t, T> narrow(const T& value) {
     using U = Like<uint32_t, T>;
     const U bits = reinterpret<U>(value);
-    const T magnitude = reinterpret<T>(bits & 0x7fffffffu);
-    const U rounded = drop_bits(reinterpret<U>(magnitude * 0x1p-112f), 13);
+    const U magnitude = bits & 0x7fffffffu;
+    // Subnormal halves are multiples of 2^-24, which is the last bit of 1/2: adding 1/2 rounds to them.
+    const U subnormal = reinterpret<U>(reinterpret<T>(magnitude) + 0x1p-1f) - 0x3f000000u;
+    const U normal = drop_bits(magnitude - 0x38000000u, 13);  // the exponent biases are 127 and 15
+    const U rounded = select(magnitude < splat<U>(0x38800000), subnormal, normal);
     const U infinity = splat<U>(0x7c00);
     const U finite = select(rounded < infinity, rounded, infinity);
     const U half = select(value == value, finite, splat<U>(0x7e00));

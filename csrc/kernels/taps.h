@@ -16,6 +16,7 @@ struct Taps {
   alignas(64) int32_t row[run_length];   // of the upper left neighbour
   alignas(64) int32_t live[run_length];  // -1, or 0 where nothing is read: the result is 0
   int64_t right, below;                  // offsets to the other neighbours; 0 where there is none
+  bool two_rows;                         // there are lower neighbours (below may be 0 for a repeated row)
 };
 
 // Calls tap for each coordinate of the run and writes what taps need to know. slopes: also slope_x and slope_y.
@@ -67,7 +68,8 @@ FISHEYEREC_NOINLINE void take_taps(const Image& source, Interpolation interpolat
   using T = Pack<S>;
   const bool linear = interpolation == Interpolation::bilinear;
   taps.right = linear && source.width > 1 ? source.stride_x : 0;
-  taps.below = linear && source.height > 1 ? source.stride_y : 0;
+  taps.two_rows = linear && source.height > 1;
+  taps.below = taps.two_rows ? source.stride_y : 0;
   const auto take = [&](const auto& tap) { take_taps(source, count, x, y, slopes, taps, tap); };
   if (!linear) {
     const bool extend = padding == Padding::border;

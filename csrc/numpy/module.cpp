@@ -77,11 +77,12 @@ py::tuple resample(const py::array& given_image, const std::string& source_model
                    const std::string& interpolation, const std::string& padding, int threads) {
   if (given_image.ndim() != 3) throw py::value_error("expected an image (height, width, channels)");
   const py::array image = with_dense_channels(given_image);
-  if (image.shape(0) < 1 || image.shape(1) < 1 || image.shape(0) > INT32_MAX || image.shape(1) > INT32_MAX) {
+  if (image.shape(0) < 1 || image.shape(1) < 1 || image.shape(0) > fisheyerec::max_size ||
+      image.shape(1) > fisheyerec::max_size) {
     throw py::value_error("expected an image with pixels");
   }
-  if (height < 1 || width < 1 || height > INT32_MAX || width > INT32_MAX) {
-    throw py::value_error("expected a height and width in [1, 2^31)");
+  if (height < 1 || width < 1 || height > fisheyerec::max_size || width > fisheyerec::max_size) {
+    throw py::value_error("expected a height and width in [1, 2^30]");
   }
   if (interpolation != "bilinear" && interpolation != "nearest")
     throw py::value_error("unknown interpolation " + interpolation);

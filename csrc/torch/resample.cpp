@@ -105,8 +105,8 @@ struct Call {
                     text(sizes_of(image)));
     STD_TORCH_CHECK(image.size(2) > 0 && image.size(3) > 0, op, "(): expected an image with pixels, got shape ",
                     text(sizes_of(image)));
-    STD_TORCH_CHECK(image.size(2) <= INT32_MAX && image.size(3) <= INT32_MAX, op,
-                    "(): expected height and width below 2^31, got shape ", text(sizes_of(image)));
+    STD_TORCH_CHECK(image.size(2) <= fisheyerec::max_size && image.size(3) <= fisheyerec::max_size, op,
+                    "(): expected height and width up to 2^30, got shape ", text(sizes_of(image)));
     STD_TORCH_CHECK(interpolation == "bilinear" || interpolation == "nearest", op,
                     "(): expected interpolation bilinear or nearest, got ", interpolation);
     STD_TORCH_CHECK(padding == "zeros" || padding == "border", op, "(): expected padding zeros or border, got ",
@@ -151,8 +151,8 @@ std::tuple<Tensor, Tensor> resample(Tensor image, Tensor source, Tensor target,
                                     std::string padding) {
   const char* op = "fisheyerec::resample";
   const Call call(op, image, source, target, source_from_target, source_model, target_model, interpolation, padding);
-  STD_TORCH_CHECK(height > 0 && width > 0 && height <= INT32_MAX && width <= INT32_MAX, op,
-                  "(): expected height and width in [1, 2^31), got ", height, " and ", width);
+  STD_TORCH_CHECK(height > 0 && width > 0 && height <= fisheyerec::max_size && width <= fisheyerec::max_size, op,
+                  "(): expected height and width in [1, 2^30], got ", height, " and ", width);
   Tensor out = empty({image.size(0), image.size(1), height, width}, image.scalar_type(), memory_format(image));
   Tensor valid = empty({image.size(0), 1, height, width}, DType::Bool);
   fisheyerec::resample(call.resampling, as_image(image, op), as_image(out, op),
