@@ -1,6 +1,6 @@
 """How fast is the op, against what people use today? Agreement first, then medians, all contenders in one run.
 
-    python benchmarks/bench_rectify.py --threads 2 --json results.json
+    python benchmarks/bench_rectify.py --threads 2 --json results.json --markdown docs/performance.md
 
 Contenders take turns within each round, so that a machine that slows down slows all of them; quote the ratios.
 """
@@ -16,12 +16,13 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
-from torch.nn.functional import grid_sample
+from torch.nn.functional import grid_sample, interpolate
 
 import fisheyerec as fr
 from fisheyerec import reference
@@ -93,7 +94,7 @@ def tensor_row(shape: tuple[int, int, int, int], layout: str, backward: bool, di
     """Compare on a float32 batch."""
     batch, channels, height, width = shape
     memory_format = torch.channels_last if layout == "channels_last" else torch.contiguous_format
-    image = torch.rand(shape).contiguous(memory_format=memory_format)
+    image = smooth_noise(shape).contiguous(memory_format=memory_format)
     fisheye, view = cameras(height, width)
     source, target = (fisheye, view) if direction == "rectify" else (view, fisheye)
     params = {
@@ -148,6 +149,13 @@ def tensor_row(shape: tuple[int, int, int, int], layout: str, backward: bool, di
         run["clone"] = lambda: image.clone()
     work = "forward + backward" if backward else "forward"
     return Row(work, shape, "float32", layout, direction, threads, run)
+
+
+def smooth_noise(shape: tuple[int, int, int, int]) -> torch.Tensor:
+    """Give pictures as smooth as photographs: gradients of white noise would not agree in float32 with anything."""
+    batch, channels, height, width = shape
+    coarse = torch.rand(batch, channels, max(2, height // 16), max(2, width // 16))
+    return interpolate(coarse, (height, width), mode="bicubic", align_corners=False)
 
 
 def picture_row(height: int, width: int, threads: int) -> Row:
@@ -239,11 +247,12 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=2.0, help="per row")
     parser.add_argument("--only", default="", help="rows whose description contains this")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--markdown", type=Path, help="write the table as a page")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     cv2.setNumThreads(arguments.threads)
-    print(f"{machine()}, {arguments.threads} threads, torch {torch.__version__}, OpenCV {cv2.__version__}")
-    print("medians in ms; in brackets the ratio to fisheyerec (op)\n")
+    where = f"{machine()}, {arguments.threads} threads, torch {torch.__version__}, OpenCV {cv2.__version__}"
+    print(f"{where}\nmedians in ms; in brackets the ratio to fisheyerec (op)\n")
     records = []
     for make in rows(arguments.threads):
         row = make()
@@ -252,9 +261,17 @@ def main() -> None:
         row.measure(arguments.seconds)
         records.append(row.record())
         print(table(records[-1:]).splitlines()[-1], flush=True)
-    print("\n" + table(records))
-    for name, description in CONTENDERS.items():
-        print(f"  {name}: {description}")
+    legend = "\n".join(f"- `{name}`: {description}" for name, description in CONTENDERS.items())
+    print(f"\n{table(records)}\n\n{legend}")
+    if arguments.markdown:
+        page = (
+            "# Performance\n\n"
+            "Made by `python benchmarks/bench_rectify.py --threads 2 --markdown docs/performance.md`.\n\n"
+            f"{date.today()}: {where}. Medians in ms; in brackets the ratio to fisheyerec (`op`).\n"
+            "Contenders take turns within one run, after each was found to agree with the others.\n\n"
+            f"{table(records)}\n\n{legend}\n"
+        )
+        arguments.markdown.write_text(page)
     if arguments.json:
         arguments.json.write_text(json.dumps(records, indent=1) + "\n")
 

@@ -3,6 +3,8 @@
 
 #include <cstdint>
 
+#include "../geometry/lanes.h"
+
 namespace fisheyerec {
 
 enum class ScalarType : int32_t { uint8, int16, int32, int64, float16, bfloat16, float32, float64 };
@@ -18,7 +20,7 @@ struct Image {
   int64_t stride_batch, stride_channel, stride_y, stride_x;
 
   // Channels of one pixel side by side (channels_last, HWC), so that loops run over channels.
-  bool interleaved() const { return stride_channel == 1 && channels > 1; }
+  FISHEYEREC_INLINE bool interleaved() const { return stride_channel == 1 && channels > 1; }
 };
 
 }  // namespace fisheyerec

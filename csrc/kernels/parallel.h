@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cstdint>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -54,7 +55,10 @@ void parallel_for(int64_t task_count, int threads, const Body& body) {
     for (int64_t task; (task = next++) < task_count;) body(task);
   };
   std::vector<std::thread> helpers;
-  for (int i = 1; i < threads; ++i) helpers.emplace_back(work);
+  try {
+    for (int i = 1; i < threads; ++i) helpers.emplace_back(work);
+  } catch (const std::system_error&) {  // no more threads to be had: those that started do the work
+  }
   work();
   for (std::thread& helper : helpers) helper.join();
 }

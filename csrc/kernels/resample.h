@@ -39,7 +39,7 @@ void resample(const Resampling& resampling, const Image& source, const Image& ta
 
 // Outgoing gradients of one backward call; null where nobody asked.
 struct Gradients {
-  const Image* source;         // the source image's shape, float64 for a float64 source, else float32; any strides
+  const Image* source;         // the source image's shape and layout, float64 for a float64 source, else float32
   double* source_params;       // (batch, 8 or 4)
   double* target_params;       // (batch, 8 or 4)
   double* source_from_target;  // (batch, 9)
