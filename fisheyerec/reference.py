@@ -54,7 +54,7 @@ def theta_max(params: Tensor) -> Tensor:
         falling = ~(_theta_d_derivative(steps, params.unsqueeze(-2)) > 0)
         first = falling.to(torch.int8).argmax(-1)  # 0 where nothing falls, as theta_d' = 1 at theta = 0
         low, high = steps[(first - 1).clamp(min=0)], steps[first]
-        for _ in range(60):
+        for _ in range(42 if params.dtype == torch.float64 else 24):  # to the last bit of the bracket
             middle = (low + high) / 2
             rising = _theta_d_derivative(middle, params) > 0
             low, high = torch.where(rising, middle, low), torch.where(rising, high, middle)
