@@ -6,18 +6,13 @@ Names are loaded when first used, so that calibrated NumPy work and the command 
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from ._ops import backend_for
     from .cameras import FisheyeCamera, PinholeCamera
     from .rectification import DistortionRectification, Rectification, distort, rectify, resample
-
-try:
-    __version__ = version("fisheyerec")
-except PackageNotFoundError:  # a source tree that was never installed
-    __version__ = "0+unknown"
 
 _HOME = {
     "FisheyeCamera": "cameras",
@@ -43,6 +38,13 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            return version("fisheyerec")
+        except PackageNotFoundError:  # a source tree that was never installed
+            return "0+unknown"
     if name in _HOME:
         value = getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
         globals()[name] = value
