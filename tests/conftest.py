@@ -65,7 +65,7 @@ class Tolerances:
     layout: float = 2.0**-22
     """The same float32 sums in another memory layout, where compilers fuse other multiplications and additions."""
     fit_px: float = 0.1
-    """Kannala-Brandt fitted to an ideal projection, at 1000 px and up to 180 degrees (issue 2, section 6)."""
+    """Kannala-Brandt fitted to an ideal projection, at 1000 px and up to 180 degrees."""
 
 
 TOLERANCES = Tolerances()
