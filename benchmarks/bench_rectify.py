@@ -212,7 +212,7 @@ def rows(threads: int) -> list[Callable[[], Row]]:
 
 
 def table(records: list[dict[str, object]]) -> str:
-    """Render records as a Markdown table of medians in ms."""
+    """Render records as a Markdown table: median ± half the distance between the quartiles, in ms."""
     names = [name for name in CONTENDERS if any(f"{name}_ms" in record for record in records)]
     lines = ["| work | shape | layout | " + " | ".join(names) + " |", "|---" * (3 + len(names)) + "|"]
     for record in records:
@@ -220,7 +220,8 @@ def table(records: list[dict[str, object]]) -> str:
         for name in names:
             value = record.get(f"{name}_ms")
             ratio = f" ({value / record['op_ms']:.1f}x)" if value and name != "op" else ""
-            cells.append(f"{value:.3g}{ratio}" if value else "")
+            spread = f" ± {record[f'{name}_iqr_ms'] / 2:.1g}" if value else ""
+            cells.append(f"{value:.3g}{spread}{ratio}" if value else "")
         work = f"{record['direction']}, {record['work']}"
         shape = f"{record['dtype']} {tuple(record['shape'])}"
         lines.append(f"| {work} | {shape} | {record['layout']} | " + " | ".join(cells) + " |")
@@ -252,7 +253,7 @@ def main() -> None:
     torch.set_num_threads(arguments.threads)
     cv2.setNumThreads(arguments.threads)
     where = f"{machine()}, {arguments.threads} threads, torch {torch.__version__}, OpenCV {cv2.__version__}"
-    print(f"{where}\nmedians in ms; in brackets the ratio to fisheyerec (op)\n")
+    print(f"{where}\nmedians ± half the distance between quartiles, in ms; in brackets the ratio to fisheyerec (op)\n")
     records = []
     for make in rows(arguments.threads):
         row = make()
@@ -267,7 +268,8 @@ def main() -> None:
         page = (
             "# Performance\n\n"
             "Made by `python benchmarks/bench_rectify.py --threads 2 --markdown docs/performance.md`.\n\n"
-            f"{date.today()}: {where}. Medians in ms; in brackets the ratio to fisheyerec (`op`).\n"
+            f"{date.today()}: {where}. Medians ± half the distance between\n"
+            "quartiles, in ms; in brackets the ratio to fisheyerec (`op`).\n"
             "Contenders take turns within one run, after each was found to agree with the others.\n\n"
             f"{table(records)}\n\n{legend}\n"
         )
