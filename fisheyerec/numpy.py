@@ -7,7 +7,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import _numpy
-from ._arguments import DISTORT, RECTIFY, Names, check_camera, check_interpolates, check_options, check_size
+from ._arguments import (
+    DISTORT,
+    RECTIFY,
+    RESAMPLE,
+    Names,
+    check_camera,
+    check_interpolates,
+    check_options,
+    check_size,
+)
 from .cameras import Camera, FisheyeCamera
 
 
@@ -64,6 +73,36 @@ def distort(
     """Show a picture as a fisheye camera would have taken it: the mirror of `rectify`, its arguments and errors."""
     view_from_camera = None if rotation is None else _rotation("distort", rotation).T
     return _resample(DISTORT, picture, view, camera, view_from_camera, interpolation, padding, threads)
+
+
+def resample(
+    image: np.ndarray,
+    source: Camera,
+    target: Camera,
+    *,
+    source_from_target: Any = None,
+    interpolation: str = "bilinear",
+    padding: str = "zeros",
+    threads: int | None = None,
+) -> Resampled:
+    """Resample a picture from any camera into any other: the one op behind `rectify` and `distort`.
+
+    Args:
+        image: (H, W) or (H, W, C), as in `rectify`.
+        source: the camera that took the image.
+        target: the camera to see it through.
+        source_from_target: (3, 3) rotation of the target's rays into the source's frame; None for none.
+        interpolation: "bilinear" or "nearest".
+        padding: "zeros" or "border".
+        threads: how many threads; None for OpenMP's default (OMP_NUM_THREADS).
+
+    Returns:
+        image (h, w) or (h, w, C), and valid (h, w).
+
+    Raises:
+        TypeError, ValueError: as `rectify`.
+    """
+    return _resample(RESAMPLE, image, source, target, source_from_target, interpolation, padding, threads)
 
 
 def _resample(
