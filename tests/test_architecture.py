@@ -26,11 +26,17 @@ ORDER = [
     "_ops",
     "numpy",
     "rectification",
+    "pictures",
+    "lens_chart",
+    "lines",
+    "sightlines",
+    "straightness",
+    "refinement",
     "network",
+    "weights",
     "rectifier",
     "baselines",
     "training",
-    "pictures",
     "cli",
 ]
 
@@ -190,6 +196,9 @@ OTHER_HALVES = {
     ("csrc/kernels/storage.h", "value + Scalar<T>(0.5)"): "rounding half up to grey levels",
     ("fisheyerec/cameras.py", "(np.arange(200) + 0.5) / 400"): "Chebyshev nodes",
     ("fisheyerec/reference.py", "torch.floor(sampled + 0.5)"): "rounding half up to grey levels",
+    ("fisheyerec/network.py", "nn.Dropout(0.5)"): "the paper's drop-out",
+    ("fisheyerec/training/losses.py", "_IMPORTANCE = torch.tensor"): "weights",
+    ("fisheyerec/training/train.py", "PAPER = TrainingRecipe"): "half of the steps",
 }
 
 
