@@ -12,11 +12,17 @@ if TYPE_CHECKING:
     __version__: str
     from ._ops import backend_for
     from .cameras import FisheyeCamera, PinholeCamera
+    from .network import FishEyeRecNet
     from .rectification import DistortionRectification, Rectification, distort, rectify, resample
+    from .rectifier import PhotoEstimate, PhotoRectification, Rectifier
 
 _HOME = {
     "FisheyeCamera": "cameras",
     "PinholeCamera": "cameras",
+    "FishEyeRecNet": "network",
+    "PhotoEstimate": "rectifier",
+    "PhotoRectification": "rectifier",
+    "Rectifier": "rectifier",
     "DistortionRectification": "rectification",
     "Rectification": "rectification",
     "distort": "rectification",
@@ -27,9 +33,13 @@ _HOME = {
 
 __all__ = [
     "DistortionRectification",
+    "FishEyeRecNet",
     "FisheyeCamera",
+    "PhotoEstimate",
+    "PhotoRectification",
     "PinholeCamera",
     "Rectification",
+    "Rectifier",
     "backend_for",
     "distort",
     "rectify",

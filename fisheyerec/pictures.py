@@ -38,16 +38,7 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
     try:
         with Image.open(path) as image:
             image.load()
-            upright = ImageOps.exif_transpose(image)
-            exif = upright.getexif()
-            exif.pop(ExifTags.Base.Orientation, None)
-            metadata = {"exif": exif.tobytes() if len(exif) else None, "icc_profile": image.info.get("icc_profile")}
-            if upright.mode.startswith("I"):
-                pixels = np.asarray(upright, dtype=np.float32)
-            else:
-                has_alpha = upright.has_transparency_data
-                mode = upright.mode if upright.mode in _EXACT_MODES else "RGBA" if has_alpha else "RGB"
-                pixels = np.asarray(upright.convert(mode))
+            return decode(image)
     except (UnidentifiedImageError, SyntaxError) as error:
         raise ValueError(f"read_picture(): expected a picture, got {os.fspath(path)!r} of an unknown format") from error
     except OSError as error:
@@ -56,6 +47,24 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
         raise ValueError(
             f"read_picture(): expected a complete picture, got {os.fspath(path)!r} that is broken ({error})"
         ) from error
+
+
+def decode(image: Image.Image) -> Picture:
+    """Turn a Pillow image upright as its EXIF orientation says, and into pixels.
+
+    Raises:
+        OSError: an image that was opened but is truncated.
+    """
+    upright = ImageOps.exif_transpose(image)
+    exif = upright.getexif()
+    exif.pop(ExifTags.Base.Orientation, None)
+    metadata = {"exif": exif.tobytes() if len(exif) else None, "icc_profile": image.info.get("icc_profile")}
+    if upright.mode.startswith("I"):
+        pixels = np.asarray(upright, dtype=np.float32)
+    else:
+        has_alpha = upright.has_transparency_data
+        mode = upright.mode if upright.mode in _EXACT_MODES else "RGBA" if has_alpha else "RGB"
+        pixels = np.asarray(upright.convert(mode))
     return Picture(pixels, {key: value for key, value in metadata.items() if value})
 
 

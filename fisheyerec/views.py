@@ -81,6 +81,37 @@ def balanced(camera: FisheyeCamera, balance: float, image_size: tuple[int, int])
     return PinholeCamera.from_focal(float(narrow ** (1 - balance) * wide**balance), image_size)
 
 
+def choose(
+    camera: FisheyeCamera,
+    image_size: tuple[int, int],
+    *,
+    fov_deg: float | None = None,
+    focal: float | None = None,
+    balance: float | None = None,
+) -> PinholeCamera:
+    """Give the view that one option at most asks for, and the edge-matched one without.
+
+    Args:
+        camera: one fisheye camera.
+        image_size: (height, width) of the view.
+        fov_deg: field of view across the width, in (0, 180).
+        focal: focal length in pixels.
+        balance: as in `balanced`.
+
+    Raises:
+        ValueError: several options, or one out of its range.
+    """
+    if sum(option is not None for option in (fov_deg, focal, balance)) > 1:
+        raise ValueError("choose(): expected one of fov_deg, focal and balance, got several")
+    if fov_deg is not None:
+        return PinholeCamera.from_fov(fov_deg, image_size)
+    if focal is not None:
+        return PinholeCamera.from_focal(focal, image_size)
+    if balance is not None:
+        return balanced(camera, balance, image_size)
+    return PinholeCamera.edge_matched(camera, image_size)
+
+
 def _border(image_size: tuple[int, int]) -> np.ndarray:
     """Points around the edge of an image, corners included: (N, 2)."""
     height, width = image_size

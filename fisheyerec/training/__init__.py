@@ -1,0 +1,1 @@
+"""Making pairs of fisheye and straight pictures, training on them, and judging methods by them."""
