@@ -18,7 +18,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import date
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -42,6 +44,9 @@ CONTENDERS = {
 }
 
 
+Contenders = dict[str, Callable[[], object]]
+
+
 @dataclass
 class Row:
     """One line of the table: what was done, and the times of those who did it."""
@@ -52,18 +57,19 @@ class Row:
     layout: str
     direction: str
     threads: int
-    run: dict[str, Callable[[], object]] = field(repr=False)
+    contenders: Callable[[], Contenders] = field(repr=False)  # made when the row's turn comes: some hold gigabytes
     times_ms: dict[str, list[float]] = field(default_factory=dict, repr=False)
 
     def measure(self, seconds: float) -> None:
         """Warm up, then let the contenders take turns until the time is over."""
-        for call in self.run.values():
+        contenders = self.contenders()
+        for call in contenders.values():
             call()
-        self.times_ms = {name: [] for name in self.run}
+        self.times_ms = {name: [] for name in contenders}
         end = time.perf_counter() + seconds
         rounds = 0
         while rounds < 5 or (time.perf_counter() < end and rounds < 300):
-            for name, call in self.run.items():
+            for name, call in contenders.items():
                 start = time.perf_counter()
                 call()
                 self.times_ms[name].append((time.perf_counter() - start) * 1e3)
@@ -94,7 +100,7 @@ def cameras(height: int, width: int) -> tuple[fr.FisheyeCamera, fr.PinholeCamera
     return camera, fr.PinholeCamera.edge_matched(camera, (height, width))
 
 
-def tensor_row(shape: tuple[int, int, int, int], layout: str, backward: bool, direction: str, threads: int) -> Row:
+def tensors(shape: tuple[int, int, int, int], layout: str, backward: bool, direction: str) -> Contenders:
     """Compare on a float32 batch."""
     batch, channels, height, width = shape
     memory_format = torch.channels_last if layout == "channels_last" else torch.contiguous_format
@@ -121,7 +127,7 @@ def tensor_row(shape: tuple[int, int, int, int], layout: str, backward: bool, di
             image, type(source)(params["source"], source.image_size), type(target)(params["target"], target.image_size)
         )[0]
 
-    run: dict[str, Callable[[], object]] = {
+    run: Contenders = {
         "op": op,
         "reference": lambda: forward(reference.resample),
         "grid_sample": lambda: grid_sample(image, grid, align_corners=False),
@@ -151,8 +157,7 @@ def tensor_row(shape: tuple[int, int, int, int], layout: str, backward: bool, di
             pictures = image.permute(0, 2, 3, 1).contiguous().numpy()
             run["cv2"] = lambda: [cv2.remap(p, *cv2_maps(source, target), cv2.INTER_LINEAR) for p in pictures]
         run["clone"] = lambda: image.clone()
-    work = "forward + backward" if backward else "forward"
-    return Row(work, shape, "float32", layout, direction, threads, run)
+    return run
 
 
 def smooth_noise(shape: tuple[int, int, int, int]) -> torch.Tensor:
@@ -162,7 +167,7 @@ def smooth_noise(shape: tuple[int, int, int, int]) -> torch.Tensor:
     return interpolate(coarse, (height, width), mode="bicubic", align_corners=False)
 
 
-def picture_row(height: int, width: int, threads: int) -> Row:
+def pictures(height: int, width: int, threads: int) -> Contenders:
     """Compare on an 8 bit RGB picture through the NumPy door."""
     picture = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8), (0, 0), 2)
     fisheye, view = cameras(height, width)
@@ -171,7 +176,7 @@ def picture_row(height: int, width: int, threads: int) -> Row:
     ours = fr.numpy.rectify(picture, fisheye, view).image
     theirs = cv2.remap(picture, *fixed_maps, cv2.INTER_LINEAR)
     assert np.abs(ours.astype(int) - theirs).mean() < 0.5, "the op disagrees with OpenCV"
-    run: dict[str, Callable[[], object]] = {
+    return {
         "op": lambda: fr.numpy.rectify(picture, fisheye, view, threads=threads),
         "cv2_remap": lambda: cv2.remap(picture, *fixed_maps, cv2.INTER_LINEAR),
         "cv2_undistort": lambda: cv2.fisheye.undistortImage(
@@ -179,10 +184,9 @@ def picture_row(height: int, width: int, threads: int) -> Row:
         ),
         "clone": picture.copy,
     }
-    return Row("forward", (height, width, 3), "uint8", "HWC", "rectify", threads, run)
 
 
-def nearest_row(height: int, width: int, dtype: type, threads: int) -> Row:
+def nearest_labels(height: int, width: int, dtype: str, threads: int) -> Contenders:
     """Compare labels, which are copied from the nearest pixel, with a picture of bytes."""
     rng = np.random.default_rng(0)
     labels = rng.integers(0, 150, (height, width), dtype=dtype)
@@ -193,19 +197,19 @@ def nearest_row(height: int, width: int, dtype: type, threads: int) -> Row:
     def nearest() -> np.ndarray:
         return fr.numpy.rectify(labels, fisheye, view, interpolation="nearest", threads=threads).image
 
-    run: dict[str, Callable[[], object]] = {
+    run: Contenders = {
         "op": nearest,
         "bilinear": lambda: fr.numpy.rectify(picture, fisheye, view, threads=threads),
         "clone": labels.copy,
     }
-    if dtype == np.uint8:
+    if dtype == "uint8":
         theirs = cv2.remap(labels, *fixed_maps, cv2.INTER_NEAREST)
         assert (nearest() == theirs).mean() > 0.999, "the op disagrees with OpenCV"
         run["cv2_remap"] = lambda: cv2.remap(labels, *fixed_maps, cv2.INTER_NEAREST)
-    return Row("forward, nearest", (height, width), np.dtype(dtype).name, "HW", "rectify", threads, run)
+    return run
 
 
-def scaling_row(height: int, width: int, threads: int) -> Row:
+def one_thread_and_more(height: int, width: int, threads: int) -> Contenders:
     """Compare the threads asked for with one."""
     image = smooth_noise((1, 3, height, width))
     cameras_and_view = cameras(height, width)
@@ -215,16 +219,14 @@ def scaling_row(height: int, width: int, threads: int) -> Row:
         fr.rectify(image, *cameras_and_view)
         torch.set_num_threads(threads)
 
-    run = {"op": lambda: fr.rectify(image, *cameras_and_view), "one_thread": one_thread}
-    return Row("forward, threads", tuple(image.shape), "float32", "contiguous", "rectify", threads, run)
+    return {"op": lambda: fr.rectify(image, *cameras_and_view), "one_thread": one_thread}
 
 
-def directions_row(height: int, width: int, threads: int) -> Row:
+def both_directions(height: int, width: int) -> Contenders:
     """Compare distort, which inverts the lens at each pixel, with rectify."""
     image = smooth_noise((1, 3, height, width))
     fisheye, view = cameras(height, width)
-    run = {"op": lambda: fr.distort(image, view, fisheye), "rectify": lambda: fr.rectify(image, fisheye, view)}
-    return Row("forward, directions", tuple(image.shape), "float32", "contiguous", "distort", threads, run)
+    return {"op": lambda: fr.distort(image, view, fisheye), "rectify": lambda: fr.rectify(image, fisheye, view)}
 
 
 def grey_level_errors(height: int, width: int) -> list[dict[str, object]]:
@@ -310,22 +312,31 @@ TENSOR_SHAPES = [(1, 3, 256, 256), (8, 3, 256, 256), (8, 64, 256, 256), (2, 150,
 PICTURE_SIZES = [(1080, 1920), (2160, 3840)]
 
 
-def rows(threads: int) -> list[Callable[[], Row]]:
-    """List the table's rows, each made when its turn comes, as some hold gigabytes."""
-    makers: list[Callable[[], Row]] = []
+def rows(threads: int) -> list[Row]:
+    """List the table's rows."""
+    listed: list[Row] = []
+
+    def add(work: str, shape: tuple[int, ...], dtype: str, layout: str, direction: str, *contenders: Any) -> None:
+        listed.append(Row(work, shape, dtype, layout, direction, threads, partial(*contenders)))
+
+    def add_tensors(shape: tuple[int, int, int, int], layout: str, direction: str) -> None:
+        for backward in (False, True):
+            work = "forward + backward" if backward else "forward"
+            add(work, shape, "float32", layout, direction, tensors, shape, layout, backward, direction)
+
     for shape in TENSOR_SHAPES:
         for layout in ("contiguous", "channels_last"):
-            for backward in (False, True):
-                makers.append(lambda s=shape, m=layout, b=backward: tensor_row(s, m, b, "rectify", threads))
-    for backward in (False, True):
-        makers.append(lambda b=backward: tensor_row((1, 3, 1080, 1920), "contiguous", b, "distort", threads))
-    for height, width in PICTURE_SIZES:
-        makers.append(lambda h=height, w=width: picture_row(h, w, threads))
-    for dtype in (np.uint8, np.int64):
-        makers.append(lambda d=dtype: nearest_row(1080, 1920, d, threads))
-    makers.append(lambda: directions_row(1080, 1920, threads))
-    makers.append(lambda: scaling_row(1080, 1920, threads))
-    return makers
+            add_tensors(shape, layout, "rectify")
+    large = TENSOR_SHAPES[-1]
+    size = large[2:]
+    add_tensors(large, "contiguous", "distort")
+    for picture in PICTURE_SIZES:
+        add("forward", (*picture, 3), "uint8", "HWC", "rectify", pictures, *picture, threads)
+    for dtype in ("uint8", "int64"):
+        add("forward, nearest", size, dtype, "HW", "rectify", nearest_labels, *size, dtype, threads)
+    add("forward, directions", large, "float32", "contiguous", "distort", both_directions, *size)
+    add("forward, threads", large, "float32", "contiguous", "rectify", one_thread_and_more, *size, threads)
+    return listed
 
 
 def table(records: list[dict[str, object]]) -> str:
@@ -463,8 +474,7 @@ def main() -> None:
     where = f"{machine()}, {arguments.threads} threads, torch {torch.__version__}, OpenCV {cv2.__version__}"
     print(f"{where}\nmedians ± half the distance between quartiles, in ms; in brackets the ratio to fisheyerec (op)\n")
     records = []
-    for make in rows(arguments.threads):
-        row = make()
+    for row in rows(arguments.threads):
         if arguments.only not in f"{row.direction} {row.work} {row.dtype} {row.shape} {row.layout}":
             continue
         row.measure(arguments.seconds)
