@@ -133,9 +133,12 @@ def _setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tens
     ctx.save_for_backward(image, source, target, source_from_target)
     ctx.options = (source_model, target_model, interpolation, padding)
     ctx.mark_non_differentiable(output[1])
+    ctx.set_materialize_grads(False)  # or a mask of zeros would be made for each backward
 
 
-def _backward(ctx: Any, grad: Tensor, _: Any) -> tuple[Tensor | None, ...]:
+def _backward(ctx: Any, grad: Tensor | None, _: Any) -> tuple[Tensor | None, ...]:
+    if grad is None:
+        return (None,) * 10
     image, source, target, source_from_target = ctx.saved_tensors
     needs = ctx.needs_input_grad[:4]
     gradients = torch.ops.fisheyerec.resample_backward(

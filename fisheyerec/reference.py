@@ -50,15 +50,18 @@ def unproject(model: str, params: Tensor, points: Tensor) -> tuple[Tensor, Tenso
 def theta_max(params: Tensor) -> Tensor:
     """Find the first extremum of theta_d in (0, pi], or pi where it rises all the way; (..., 8) -> (...)."""
     with torch.no_grad():
-        steps = torch.linspace(0, math.pi, 4097, dtype=params.dtype, device=params.device)
-        falling = ~(_theta_d_derivative(steps, params.unsqueeze(-2)) > 0)
-        first = falling.to(torch.int8).argmax(-1)  # 0 where nothing falls, as theta_d' = 1 at theta = 0
-        low, high = steps[(first - 1).clamp(min=0)], steps[first]
-        for _ in range(42 if params.dtype == torch.float64 else 24):  # to the last bit of the bracket
-            middle = (low + high) / 2
-            rising = _theta_d_derivative(middle, params) > 0
-            low, high = torch.where(rising, middle, low), torch.where(rising, high, middle)
-        limit = torch.where(first > 0, low, math.pi)
+        # Look for the first place that does not rise, then look again, more finely, right before it.
+        steps = torch.linspace(0, 1, 4097, dtype=params.dtype, device=params.device)
+        low = torch.zeros_like(params[..., :1])
+        width = torch.full_like(low, math.pi)
+        for refinement in range(5 if params.dtype == torch.float64 else 2):  # 12 bits each
+            falling = ~(_theta_d_derivative(low + width * steps, params.unsqueeze(-2)) > 0)
+            first = falling.to(torch.int8).argmax(-1, keepdim=True)  # 0 where nothing falls: theta_d' = 1 at theta = 0
+            if refinement == 0:
+                folds = first > 0
+            width = width / 4096
+            low = low + width * (first - 1).clamp(min=0)
+        limit = torch.where(folds, low, math.pi)[..., 0]
         return torch.where(params.isfinite().all(-1), limit, 0.0)
 
 
@@ -87,7 +90,7 @@ def _theta_from_theta_d(distance: Tensor, params: Tensor) -> tuple[Tensor, Tenso
     with torch.no_grad():
         in_range = distance <= _theta_d(limit, params)
         low, high = torch.zeros_like(distance), limit.expand_as(distance)
-        for _ in range(60):
+        for _ in range(60 if params.dtype == torch.float64 else 30):
             middle = (low + high) / 2
             below = _theta_d(middle, params) < distance
             low, high = torch.where(below, middle, low), torch.where(below, high, middle)

@@ -151,7 +151,11 @@ MAY_INCLUDE = {
 }
 
 # Libraries by their headers' first part. The standard library's headers have none, and no suffix.
-LIBRARIES = {"torch": {"torch", "Python.h"}, "numpy": {"pybind11", "Python.h"}, "kernels": {"omp.h", "pthread.h"}}
+LIBRARIES = {
+    "torch": {"torch", "Python.h", "sys"},
+    "numpy": {"pybind11", "Python.h"},
+    "kernels": {"omp.h", "pthread.h"},
+}
 
 # What the maths of one pixel needs: nothing that allocates, locks, prints or throws.
 GEOMETRY_HEADERS = {"cmath", "limits", "cstdint", "cstring", "type_traits", "utility"}
@@ -194,6 +198,7 @@ OTHER_HALVES = {
     ("csrc/geometry/trigonometry.h", "u * 0.5f"): "the series of the cosine",
     ("csrc/geometry/kannala_brandt.h", "(low + high) * S(0.5)"): "bisection",
     ("csrc/kernels/storage.h", "value + Scalar<T>(0.5)"): "rounding half up to grey levels",
+    ("csrc/kernels/sample_bytes.h", "weight * -one - 0.5f"): "rounding weights to whole numbers",
     ("fisheyerec/cameras.py", "(np.arange(200) + 0.5) / 400"): "Chebyshev nodes",
     ("fisheyerec/reference.py", "torch.floor(sampled + 0.5)"): "rounding half up to grey levels",
     ("fisheyerec/network.py", "nn.Dropout(0.5)"): "the paper's drop-out",

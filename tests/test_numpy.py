@@ -215,3 +215,31 @@ print("same")
     for first, second in (("torch", "fisheyerec.numpy"), ("fisheyerec.numpy", "torch")):
         done = run_python(code.format(first=first, second=second))
         assert (done.stdout, done.stderr) == ("same\n", "")
+
+
+# Weights are multiples of 2^-15, of which one may be off by one and a half.
+WEIGHT_ROUNDING = 255 * 1.5 / 2**15
+
+
+@pytest.mark.parametrize("padding", ["zeros", "border"])
+@pytest.mark.parametrize("channels", [None, 1, 2, 3, 4, 5, 16])
+def test_grey_levels_are_exact_to_half_a_level(channels, padding):
+    size = (300, 701)  # more than one run wide, and no multiple of a vector
+    camera, view = CAMERA.resize(size), VIEW.resize(size)
+    shape = size if channels is None else (*size, channels)
+    ramp = np.linspace(0, 250, size[1])[None, :] + 5 * (np.arange(size[0]) % 2)[:, None]
+    image = np.broadcast_to((ramp if channels is None else ramp[..., None]), shape).astype(np.uint8)
+    out, valid = door.rectify(image, camera, view, padding=padding)
+    exact, _ = door.rectify(image.astype(np.float64), camera, view, padding=padding)
+    error = np.abs(out - exact)[valid]
+    coordinates = 1e-3 * 5  # pixels in float32, times the steepest slope
+    assert error.max() <= 0.5 + WEIGHT_ROUNDING + coordinates
+    assert error.mean() < 0.26
+
+
+def test_flat_pictures_stay_flat():
+    size = (300, 701)
+    out, valid = door.rectify(
+        np.full((*size, 3), 255, np.uint8), CAMERA.resize(size), VIEW.resize(size), padding="border"
+    )
+    assert (out[valid] == 255).all()

@@ -730,3 +730,19 @@ def test_backends_have_names():
     assert fr.backend_for("cpu") == "native"
     assert fr.backend_for(torch.device("cuda", 0)) == "reference"
     assert _ops.backend_for("meta") == "reference"
+
+
+@pytest.mark.parametrize("lens", ["wide_120", "gopro_chessboard", "profile_a7iii_laowa_15mm"], indirect=True)
+def test_float32_looks_within_a_thousandth_of_a_pixel_at_4k(lens):
+    """Pictures of their own coordinates, about the centre, show where each pixel was looked for."""
+    camera = lens.resize((2160, 3840))
+    whole = fr.PinholeCamera.edge_matched(camera, camera.image_size)
+    y, x = torch.meshgrid(torch.arange(2160) - 1080, torch.arange(3840) - 1920, indexing="ij")
+    coordinates = torch.stack([x, y])[None]
+    for top in (0, 1070, 2100):
+        view = whole.crop(0, top, (24, 3840))
+        exact = fr.rectify(coordinates.double(), camera, view, padding="border")
+        ours = fr.rectify(coordinates.float(), camera, view, padding="border")
+        both = exact.valid & ours.valid
+        assert both.double().mean() > 0.9
+        assert ((ours.image - exact.image).abs() * both).max() < 1e-3

@@ -19,6 +19,11 @@
 // For inner loops, which lose their registers when everything around them is inlined into one function.
 #define FISHEYEREC_NOINLINE __attribute__((noinline))
 
+// The width of vectors in bytes; each rows_*.cpp says its own.
+#ifndef FISHEYEREC_VECTOR_BYTES
+#define FISHEYEREC_VECTOR_BYTES 16
+#endif
+
 namespace fisheyerec {
 
 template <class S, int count>

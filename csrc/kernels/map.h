@@ -3,17 +3,30 @@
 
 #include "../geometry/kannala_brandt.h"
 #include "../geometry/pinhole.h"
+#include "piecewise.h"
 #include "resample.h"
-
-// The width of vectors in bytes; each rows_*.cpp says its own.
-#ifndef FISHEYEREC_VECTOR_BYTES
-#define FISHEYEREC_VECTOR_BYTES 16
-#endif
 
 namespace fisheyerec {
 
 // Pixels are handled in runs of one row, so that everything about a run stays in the first-level cache.
 constexpr int run_length = 256;
+
+// The columns of a run at which the map is computed where it is smooth.
+struct PieceNodes {
+  float offset[run_length / Piecewise::length * Piecewise::node_count];
+
+  static constexpr PieceNodes make() {
+    PieceNodes nodes{};
+    int i = 0;
+    for (float& offset : nodes.offset) {
+      offset = static_cast<float>(i / Piecewise::node_count * Piecewise::length +
+                                  Piecewise::nodes[i % Piecewise::node_count]);
+      ++i;
+    }
+    return nodes;
+  }
+};
+constexpr PieceNodes piece_nodes = PieceNodes::make();
 
 template <class S>
 struct Camera {
@@ -58,6 +71,28 @@ FISHEYEREC_INLINE void with_model(const Camera<S>& camera, const Visit& visit) {
   }
 }
 
+// Where one target pixel lies in the source image.
+template <class S, class Source, class Target, class T>
+FISHEYEREC_INLINE Mask<T> map_pixel(const Geometry<S>& geometry, const Source& source, const Target& target,
+                                    bool rotated, const Pixel<T>& at, Pixel<T>& pixel) {
+  Ray<T> ray;
+  const Mask<T> seen = target.unproject(at, ray);
+  if (rotated) ray = rotate(geometry.source_from_target, ray);
+  return seen & source.project(ray, pixel);
+}
+
+// Whether a row can leave the lens and come back between two nodes of a piece that both see it. Rays of a row of a
+// pinhole lie in a plane: they meet a cone of theta_max up to 90 degrees once, and an unrotated pinhole sees no ray
+// beyond 90 degrees. Towards the rim of a pinhole source coordinates run to infinity, which is not smooth.
+template <class S, class Source, class Target>
+FISHEYEREC_INLINE bool is_piecewise(const Source& source, const Target&, bool rotated) {
+  if constexpr (std::is_same_v<Source, KannalaBrandt<float>> && std::is_same_v<Target, Pinhole<float>>) {
+    return !rotated || source.theta_max <= pi<float> / 2 || source.theta_max >= pi<float>;
+  } else {
+    return std::is_same_v<Source, Pinhole<float>> && std::is_same_v<Target, KannalaBrandt<float>>;
+  }
+}
+
 // x, y: where target pixels (column + i, row) lie in the source image; NaN where the ray is invalid. Written in whole
 // packs, beyond count too.
 template <class S>
@@ -65,17 +100,37 @@ FISHEYEREC_NOINLINE void map_run(const Geometry<S>& geometry, int64_t row, int64
   using T = Pack<S>;
   const T nan = splat<T>(std::numeric_limits<S>::quiet_NaN());
   const auto map = [&](const auto& source, const auto& target, auto rotated) {
-    for (int i = 0; i < count; i += lanes<T>) {
-      Ray<T> ray;
+    const auto map_pack = [&](T columns, S* to_x, S* to_y) {
       Pixel<T> pixel;
-      const Pixel<T> at{count_from<T>(static_cast<S>(column + i)), splat<T>(row)};
-      const Mask<T> seen = target.unproject(at, ray);
-      if constexpr (rotated.value) ray = rotate(geometry.source_from_target, ray);
-      const Mask<T> hit = source.project(ray, pixel);
-      const Mask<T> live = seen & hit;
-      store_lanes(x + i, select(live, pixel.x, nan));
-      store_lanes(y + i, select(live, pixel.y, nan));
+      const Mask<T> live = map_pixel(geometry, source, target, rotated.value, Pixel<T>{columns, splat<T>(row)}, pixel);
+      store_lanes(to_x, select(live, pixel.x, nan));
+      store_lanes(to_y, select(live, pixel.y, nan));
+    };
+    if constexpr (sizeof(S) == 4) {
+      if (is_piecewise<S>(source, target, rotated.value)) {
+        constexpr int node_count = run_length / Piecewise::length * Piecewise::node_count;
+        alignas(64) S node_x[node_count], node_y[node_count];
+        const int pieces = (count + Piecewise::length - 1) / Piecewise::length;
+        const T first = splat<T>(column);
+        for (int i = 0; i < pieces * Piecewise::node_count; i += lanes<T>) {
+          map_pack(first + load_lanes<T>(piece_nodes.offset + i), node_x + i, node_y + i);
+        }
+        // First all coefficients, then all pixels: each is a chain of operations that waits for nothing but itself.
+        alignas(64) S coefficients_x[node_count], coefficients_y[node_count];
+        bool smooth = true;
+        for (int i = 0; i < pieces * Piecewise::node_count; i += Piecewise::node_count) {
+          smooth &= fit_piece(node_x + i, coefficients_x + i);
+          smooth &= fit_piece(node_y + i, coefficients_y + i);
+        }
+        for (int piece = 0; smooth && piece < pieces; ++piece) {
+          const int node = piece * Piecewise::node_count, begin = piece * Piecewise::length;
+          evaluate_piece(coefficients_x + node, x + begin);
+          evaluate_piece(coefficients_y + node, y + begin);
+        }
+        if (smooth) return;
+      }
     }
+    for (int i = 0; i < count; i += lanes<T>) map_pack(count_from<T>(static_cast<S>(column + i)), x + i, y + i);
   };
   if (!geometry.finite) {
     for (int i = 0; i < count; i += lanes<T>) store_lanes(x + i, nan), store_lanes(y + i, nan);

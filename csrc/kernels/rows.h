@@ -3,7 +3,7 @@
 #pragma once
 
 #include "rows_table.h"
-#include "sample.h"
+#include "sample_bytes.h"
 
 namespace fisheyerec {
 inline namespace FISHEYEREC_ISA {
@@ -13,14 +13,14 @@ D* pixels(const Image& image, int64_t batch, int64_t row = 0, int64_t column = 0
   return static_cast<D*>(image.data) + batch * image.stride_batch + row * image.stride_y + column * image.stride_x;
 }
 
-// Calls visit with a null pointer of the storage type of pixels that are computed in T.
+// Calls visit with a null pointer of the storage type of pixels that are computed in T. (Bytes are computed in whole
+// numbers, sample_bytes.h.)
 template <class T, class Visit>
 void with_storage(ScalarType type, const Visit& visit) {
   if constexpr (sizeof(T) == 8) {
     visit(static_cast<double*>(nullptr));
   } else {
     switch (type) {
-      case ScalarType::uint8: return visit(static_cast<uint8_t*>(nullptr));
       case ScalarType::float16: return visit(static_cast<Float16*>(nullptr));
       case ScalarType::bfloat16: return visit(static_cast<BFloat16*>(nullptr));
       default: return visit(static_cast<float*>(nullptr));
@@ -53,38 +53,96 @@ FISHEYEREC_INLINE void for_each_run(int64_t width, int64_t row_begin, int64_t ro
   }
 }
 
+// valid[i] = whether (x, y)[i] lies on the source image.
+template <class S>
+FISHEYEREC_NOINLINE void mark_valid(const Image& source, int count, const S* x, const S* y, uint8_t* valid) {
+  using T = Pack<S>;
+  alignas(64) uint8_t marks[run_length];
+  for (int i = 0; i < count; i += lanes<T>) {
+    const Mask<T> on_image = inside(load_lanes<T>(x + i), static_cast<S>(source.width)) &
+                             inside(load_lanes<T>(y + i), static_cast<S>(source.height));
+    store_lanes(marks + i, convert<Like<uint8_t, T>>(select(on_image, splat<Index<T>>(1), splat<Index<T>>(0))));
+  }
+  std::memcpy(valid, marks, static_cast<size_t>(count));
+}
+
 template <class T>
 void forward_rows(const ForwardJob<T>& job, int64_t batch, int64_t row_begin, int64_t row_end) {
   const Image &source = job.source, &target = job.target;
   alignas(64) T x[run_length], y[run_length];
   Taps<T> taps;
-  const auto run = [&](auto* storage, auto sample) {
+  // sample(source_pixels, target_pixels, count, interior) from x and y.
+  const auto for_each_run_of = [&](auto* storage, const auto& sample) {
     using D = std::remove_pointer_t<decltype(storage)>;
     for_each_run(target.width, row_begin, row_end, [&](int64_t row, int64_t column, int count) {
       map_run(job.geometries[batch], row, column, count, x, y);
-      take_taps(source, job.interpolation, job.padding, count, x, y, false, taps);
+      const bool interior = is_interior(source, count, x, y);
       uint8_t* valid = job.valid + (batch * target.height + row) * target.width + column;
-      for (int i = 0; i < count; ++i) {
-        valid[i] = inside(x[i], static_cast<T>(source.width)) & inside(y[i], static_cast<T>(source.height));
+      if (interior) {
+        std::memset(valid, 1, static_cast<size_t>(count));
+      } else {
+        mark_valid(source, count, x, y, valid);
       }
-      sample(source, pixels<D>(source, batch), taps, count, target, pixels<D>(target, batch, row, column));
+      sample(pixels<const D>(source, batch), pixels<D>(target, batch, row, column), count, interior);
     });
   };
+  const auto take = [&](int count, bool interior) {
+    take_taps(source, job.interpolation, job.padding, interior, count, x, y, false, taps);
+  };
   if (job.interpolation == Interpolation::nearest) {
-    with_bytes(source.type, [&](auto* storage) { run(storage, [](auto&&... args) { copy_run(args...); }); });
-  } else {
-    with_storage<T>(source.type, [&](auto* storage) { run(storage, [](auto&&... args) { sample_run(args...); }); });
+    with_bytes(source.type, [&](auto* storage) {
+      for_each_run_of(storage, [&](const auto* from, auto* to, int count, bool interior) {
+        take(count, interior);
+        copy_run(source, from, taps, count, target, to);
+      });
+    });
+    return;
   }
+  if constexpr (sizeof(T) == 4) {
+    if (source.type == ScalarType::uint8) {
+      ByteTaps byte_taps;
+      const bool has_neighbours = source.width > 1 && source.height > 1 && has_narrow_offsets(source);
+      return for_each_run_of(static_cast<uint8_t*>(nullptr), [&](const auto* from, auto* to, int count, bool interior) {
+        if (interior && has_neighbours) {
+          take_interior_byte_taps(source, count, x, y, byte_taps);
+          sample_run(source, from, byte_taps, source.stride_x, source.stride_y, count, target, to);
+        } else {
+          take(count, interior);
+          take_byte_taps(taps, count, byte_taps);
+          sample_run(source, from, byte_taps, taps.right, taps.below, count, target, to);
+        }
+      });
+    }
+  }
+  with_storage<T>(source.type, [&](auto* storage) {
+    for_each_run_of(storage, [&](const auto* from, auto* to, int count, bool interior) {
+      take(count, interior);
+      sample_run(source, from, taps, count, target, to);
+    });
+  });
 }
 
 template <class S>
 RowRange rows_read(const Taps<S>& taps, int count) {
-  RowRange range{std::numeric_limits<int32_t>::max(), -1};
-  for (int i = 0; i < count; ++i) {
-    const int32_t last = taps.row[i] + taps.two_rows;
-    range.first = taps.live[i] && taps.row[i] < range.first ? taps.row[i] : range.first;
-    range.last = taps.live[i] && last > range.last ? last : range.last;
+  using I = Index<Pack<S>>;
+  const auto smaller = [](const auto& a, const auto& b) { return select(a < b, a, b); };
+  const I none = splat<I>(std::numeric_limits<int32_t>::max());
+  I first = none, negative_last = none;  // the last row, negative, so that both are minima
+  for (int i = 0; i < count; i += lanes<Pack<S>>) {
+    const I row = load_lanes<I>(taps.row + i);
+    const auto read = (load_lanes<I>(taps.live + i) != splat<I>(0)) & (count_from<I>(i) < splat<I>(count));
+    first = smaller(first, select(read, row, none));
+    negative_last = smaller(negative_last, select(read, -row, none));
   }
+  RowRange range{std::numeric_limits<int32_t>::max(), -1};
+  int32_t firsts[lanes<I>], negative_lasts[lanes<I>];
+  store_lanes(firsts, first);
+  store_lanes(negative_lasts, negative_last);
+  for (int lane = 0; lane < lanes<I>; ++lane) {
+    range.first = smaller(range.first, firsts[lane]);
+    range.last = -smaller(-range.last, negative_lasts[lane]);
+  }
+  range.last += taps.two_rows && range.last >= 0;
   return range;
 }
 
@@ -99,7 +157,8 @@ void backward_target_rows(const BackwardJob<T>& job, int64_t batch, int64_t row_
     for_each_run(grad_target.width, row_begin, row_end, [&](int64_t row, int64_t column, int count) {
       const int64_t row_index = batch * grad_target.height + row;
       map_run(job.geometries[batch], row, column, count, x, y);
-      take_taps(source, job.interpolation, job.padding, count, x, y, job.row_gradients != nullptr, taps);
+      take_taps(source, job.interpolation, job.padding, is_interior(source, count, x, y), count, x, y,
+                job.row_gradients != nullptr, taps);
       if (job.row_ranges) job.row_ranges[row_index * runs + column / run_length] = rows_read(taps, count);
       if (!job.row_gradients) return;
       alignas(64) T grad_x[run_length], grad_y[run_length];
@@ -141,9 +200,11 @@ void backward_source_rows(const BackwardJob<T>& job, int64_t batch, int64_t row_
       const RowRange& range = job.row_ranges[(batch * grad_target.height + row) * runs + column / run_length];
       if (range.last < band.first || range.first > band.last) return;
       map_run(job.geometries[batch], row, column, count, x, y);
-      take_taps(grad_source, job.interpolation, job.padding, count, x, y, false, taps);
+      const bool interior = is_interior(grad_source, count, x, y);
+      take_taps(grad_source, job.interpolation, job.padding, interior, count, x, y, false, taps);
       sample_run_adjoint_image(grad_source, pixels<T>(grad_source, batch), taps, count, grad_target,
-                               pixels<const D>(grad_target, batch, row, column), band);
+                               pixels<const D>(grad_target, batch, row, column),
+                               Selection(taps, count, range, interior, band));
     });
   });
 }

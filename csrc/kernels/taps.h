@@ -20,17 +20,18 @@ struct Taps {
 };
 
 // Calls tap for each coordinate of the run and writes what taps need to know. slopes: also slope_x and slope_y.
-template <class S, class TapFunction>
+// Offset: an integer vector that holds every offset within the image.
+template <class Offset, class S, class TapFunction>
 FISHEYEREC_INLINE void take_taps(const Image& source, int count, const S* x, const S* y, bool slopes, Taps<S>& taps,
                                  const TapFunction& tap) {
   using T = Pack<S>;
-  using Offset = Like<int64_t, T>;
   const int width = static_cast<int>(source.width), height = static_cast<int>(source.height);
   const Offset stride_x = splat<Offset>(source.stride_x), stride_y = splat<Offset>(source.stride_y);
   for (int i = 0; i < count; i += lanes<T>) {
     const Tap<T> h = tap(load_lanes<T>(x + i), width), v = tap(load_lanes<T>(y + i), height);
     const Mask<T> live = h.live & v.live;
-    store_lanes(taps.at + i, convert<Offset>(v.index) * stride_y + convert<Offset>(h.index) * stride_x);
+    const Offset at = convert<Offset>(v.index) * stride_y + convert<Offset>(h.index) * stride_x;
+    store_lanes(taps.at + i, convert<Like<int64_t, T>>(at));
     store_lanes(taps.row + i, v.index);
     store_lanes(taps.live + i, select(live, splat<Index<T>>(-1), splat<Index<T>>(0)));
     for (int b = 0; b < 2; ++b) {
@@ -45,9 +46,16 @@ FISHEYEREC_INLINE void take_taps(const Image& source, int count, const S* x, con
   }
 }
 
-// Whether all neighbours of the whole run lie inside the image, which they mostly do.
+// Whether offsets within one image of the batch fit into 32 bits, whose vectors multiply several times as fast.
+inline bool has_narrow_offsets(const Image& image) {
+  const auto reach = [](int64_t size, int64_t stride) { return (size - 1) * (stride < 0 ? -stride : stride); };
+  constexpr int64_t limit = int64_t{1} << 30;
+  return reach(image.height, image.stride_y) < limit && reach(image.width, image.stride_x) < limit;
+}
+
+// Whether all neighbours of the whole run lie inside the image, as they mostly do.
 template <class S>
-FISHEYEREC_INLINE bool is_interior(const Image& source, int count, const S* x, const S* y) {
+FISHEYEREC_NOINLINE bool is_interior(const Image& source, int count, const S* x, const S* y) {
   using T = Pack<S>;
   const T zero = splat<T>(0), last_x = splat<T>(source.width - 1), last_y = splat<T>(source.height - 1);
   Mask<T> interior = zero == zero;
@@ -63,18 +71,24 @@ FISHEYEREC_INLINE bool is_interior(const Image& source, int count, const S* x, c
 }
 
 template <class S>
-FISHEYEREC_NOINLINE void take_taps(const Image& source, Interpolation interpolation, Padding padding, int count,
-                                   const S* x, const S* y, bool slopes, Taps<S>& taps) {
+FISHEYEREC_NOINLINE void take_taps(const Image& source, Interpolation interpolation, Padding padding, bool interior,
+                                   int count, const S* x, const S* y, bool slopes, Taps<S>& taps) {
   using T = Pack<S>;
   const bool linear = interpolation == Interpolation::bilinear;
   taps.right = linear && source.width > 1 ? source.stride_x : 0;
   taps.two_rows = linear && source.height > 1;
   taps.below = taps.two_rows ? source.stride_y : 0;
-  const auto take = [&](const auto& tap) { take_taps(source, count, x, y, slopes, taps, tap); };
+  const auto take = [&](const auto& tap) {
+    if (has_narrow_offsets(source)) {
+      take_taps<Like<int32_t, T>>(source, count, x, y, slopes, taps, tap);
+    } else {
+      take_taps<Like<int64_t, T>>(source, count, x, y, slopes, taps, tap);
+    }
+  };
   if (!linear) {
     const bool extend = padding == Padding::border;
     take([extend](T coordinate, int size) { return nearest_tap(coordinate, size, extend); });
-  } else if (is_interior(source, count, x, y)) {
+  } else if (interior) {
     take([](T coordinate, int) { return linear_tap_interior(coordinate); });
   } else if (padding == Padding::zeros) {
     take([](T coordinate, int size) { return linear_tap_zeros(coordinate, size); });
