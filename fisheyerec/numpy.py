@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from . import _numpy
 from ._arguments import (
     DISTORT,
     RECTIFY,
@@ -17,6 +16,7 @@ from ._arguments import (
     check_options,
     check_size,
 )
+from ._numpy import resample as _resample_channels
 from .cameras import Camera, FisheyeCamera
 
 
@@ -137,7 +137,7 @@ def _resample(
         image = image.copy()
     channels = image if image.ndim == 3 else image[..., None]
     height, width = target.image_size
-    out, valid = _numpy.resample(
+    out, valid = _resample_channels(
         channels,
         source.model,
         source.numpy().params,
