@@ -25,10 +25,12 @@ import json
 import math
 from importlib.resources import files
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from . import pixel, reference
+from .cameras import FisheyeCamera
 
 RADII = (1 / 4, 1 / 2, 3 / 4, math.sqrt(2))
 """Where the profile is read, in units of R; the last is the corner of a square picture."""
@@ -86,6 +88,28 @@ def chart_from_camera(params: Tensor, image_size: tuple[int, int]) -> Tensor:
     return torch.cat(
         [g[..., :-1] - g[..., -1:], g[..., -1:], torch.stack([offset_x, offset_y, (fy / fx).log()], -1)], -1
     )
+
+
+def chart_of(camera: FisheyeCamera) -> np.ndarray:
+    """Read the chart (8,) off one camera, as an array; NaN as in `chart_from_camera`."""
+    return np.asarray(chart_from_camera(torch.as_tensor(camera.numpy().params), camera.image_size).numpy())
+
+
+def perspective_chart(theta: float = math.pi / 4) -> np.ndarray:
+    """Give the chart (8,) of a lens that bends nothing, tan(theta(rho)) = tan(theta(R)) rho / R.
+
+    Args:
+        theta: the angle at R, in (0, 75 degrees); no picture tells it.
+    """
+    return np.array([*np.log(RADII), math.log(math.tan(theta)), 0.0, 0.0, 0.0])
+
+
+def stretch(chart: np.ndarray) -> float:
+    """Tell by how much straightening pulls the corners out, relative to the edges; 0 for a perspective camera.
+
+    More exactly tan(theta) at sqrt(2) R over sqrt(2) tan(theta) at R, less 1.
+    """
+    return float(np.exp(chart[PROFILE][-1] - np.log(RADII[-1])) - 1)
 
 
 def camera_from_chart(chart: Tensor, image_size: tuple[int, int]) -> Tensor:

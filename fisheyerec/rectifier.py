@@ -28,16 +28,7 @@ from torch import Tensor
 from . import numpy as door
 from . import views
 from .cameras import Camera, FisheyeCamera, PinholeCamera
-from .lens_chart import (
-    ASPECT,
-    FIELD_OF_VIEW,
-    PRINCIPAL_POINT,
-    PROFILE,
-    RADII,
-    SIZE,
-    camera_from_chart,
-    chart_from_camera,
-)
+from .lens_chart import ASPECT, PRINCIPAL_POINT, SIZE, camera_from_chart, chart_of, perspective_chart, stretch
 from .network import FishEyeRecNet
 from .pictures import decode, read_picture
 from .refinement import DISTORTED_EVIDENCE, DISTORTED_STRETCH, Prior, Refinement
@@ -188,7 +179,7 @@ class Rectifier:
         before = straightness(working, None)
         refinement = None
         if refine:
-            mean = _chart(camera)
+            mean = chart_of(camera)
             prior = Prior(mean, covariance) if np.isfinite(mean).all() else None
             refinement = refine_camera(working, camera, prior=prior)
             camera, covariance = refinement.camera, refinement.covariance
@@ -200,7 +191,7 @@ class Rectifier:
             after = straightness(working, camera) if refinement is None else refinement.straightness_after
         return PhotoEstimate(
             camera.numpy().resize(pixels.shape[:2]),
-            math.exp(-_expected_error_px(_chart(camera), covariance) / 2),
+            math.exp(-_expected_error_px(chart_of(camera), covariance) / 2),
             distorted,
             before,
             after,
@@ -396,15 +387,13 @@ def _is_distorted(camera: FisheyeCamera, refinement: Refinement | None) -> bool:
 
     Lines through the centre are straight under any lens: a photo that has no others is judged by the network.
     """
-    stretch = float(np.exp(_chart(camera)[PROFILE][-1] - np.log(RADII[-1])) - 1)
-    return stretch > DISTORTED_STRETCH and (refinement is None or refinement.evidence > -DISTORTED_EVIDENCE)
+    bends = stretch(chart_of(camera)) > DISTORTED_STRETCH
+    return bends and (refinement is None or refinement.evidence > -DISTORTED_EVIDENCE)
 
 
 def _straight_camera(image_size: tuple[int, int]) -> FisheyeCamera:
     """A lens that bends nothing: the Kannala-Brandt polynomial of a perspective camera."""
-    chart = torch.zeros(SIZE, dtype=torch.float64)
-    chart[PROFILE] = torch.tensor(RADII, dtype=torch.float64).log()
-    chart[FIELD_OF_VIEW] = math.log(math.tan(_STRAIGHT_FOV / 2))
+    chart = torch.from_numpy(perspective_chart(_STRAIGHT_FOV / 2))
     return FisheyeCamera(camera_from_chart(chart, image_size).numpy(), image_size)
 
 
@@ -423,8 +412,3 @@ def _expected_error_px(chart: np.ndarray, covariance: np.ndarray) -> float:
     grid = torch.cartesian_prod(across, across).expand(len(charts), -1, -1)
     points, _ = cameras.project(view.unproject(grid)[0])
     return float((points[1:] - points[0]).square().sum(-1).nanmean().sqrt())
-
-
-def _chart(camera: FisheyeCamera) -> np.ndarray:
-    chart: np.ndarray = chart_from_camera(torch.as_tensor(camera.params), camera.image_size).numpy()
-    return chart

@@ -20,11 +20,9 @@ import torch
 
 from . import sightlines
 from .cameras import FisheyeCamera
-from .lens_chart import PROFILE, RADII, SIZE, camera_from_chart, chart_from_camera
+from .lens_chart import SIZE, camera_from_chart, chart_of, perspective_chart, stretch
 from .sightlines import Fit, Pieces
-from .straightness import WORKING_SIDE, check_picture, find_pieces, straightness, straightness_of
-
-__all__ = ["DISTORTED_STRETCH", "WORKING_SIDE", "Prior", "Refinement", "refine", "straightness", "wide_prior"]
+from .straightness import check_picture, find_pieces, straightness_of
 
 # Of 64 photographs without distortion 6 % pass both; of 29 whose lens stretches by 7 % or more 86 %, refined from the
 # middle of the wide prior alone.
@@ -81,11 +79,8 @@ class Refinement:
 
     @property
     def stretch(self) -> float:
-        """By how much `camera` pulls the corners out, relative to the edges, to straighten the picture; 0 is nothing.
-
-        More exactly tan(theta) at sqrt(2) R over sqrt(2) tan(theta) at R, less 1, R being half the longer side.
-        """
-        return float(np.exp(_chart(self.camera)[PROFILE][-1] - np.log(RADII[-1])) - 1)
+        """By how much `camera` pulls the corners out to straighten the picture (`lens_chart.stretch`)."""
+        return stretch(chart_of(self.camera))
 
     @property
     def distorted(self) -> bool:
@@ -134,7 +129,7 @@ def refine(image: np.ndarray, camera: FisheyeCamera, *, prior: Prior | None = No
     if not len(pieces):
         return unchanged
     search, wide = _Search(pieces, prior, size), _Search(pieces, wide_prior(), size)
-    chart, covariance = search.run(_chart(camera))
+    chart, covariance = search.run(chart_of(camera))
     cost, *others = (wide.lines_cost(_params(c, size), _LOOSE_CUTS[0]) for c in wide.starts(chart))
     if search.surprise(chart) > _SURPRISE or cost - min(others) > _STRAIGHTER:
         search = wide
@@ -268,7 +263,7 @@ class _Search:
 
 def _evidence(pieces: Pieces, camera: FisheyeCamera, size: tuple[int, int]) -> float:
     search = _Search(pieces, wide_prior(), size)
-    flat = _params(np.array([*np.log(RADII), *np.zeros(4)]), size)  # tan(theta) = rho / R
+    flat = _params(perspective_chart(), size)
     params = np.asarray(camera.numpy().resize(size).params)
     return (search.lines_cost(flat, _STRAIGHT_PX) - search.lines_cost(params, _STRAIGHT_PX)) / 2
 
@@ -279,10 +274,6 @@ def _tangents(vectors: np.ndarray) -> np.ndarray:
     first = np.cross(vectors, aside)
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     return np.stack([first, np.cross(vectors, first)], -1)
-
-
-def _chart(camera: FisheyeCamera) -> np.ndarray:
-    return np.asarray(chart_from_camera(torch.as_tensor(camera.numpy().params), camera.image_size).numpy())
 
 
 def _params(chart: np.ndarray, size: tuple[int, int]) -> np.ndarray:

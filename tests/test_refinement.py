@@ -15,7 +15,7 @@ cv2 = pytest.importorskip("cv2")
 import fisheyerec as fr  # noqa: E402  after cv2 is known to be there
 import fisheyerec.numpy  # noqa: E402
 from fisheyerec import refinement, sightlines  # noqa: E402
-from fisheyerec.lens_chart import camera_from_chart  # noqa: E402
+from fisheyerec.lens_chart import camera_from_chart, chart_of  # noqa: E402
 from fisheyerec.refinement import Prior, refine, wide_prior  # noqa: E402
 from fisheyerec.sightlines import Pieces, Sight  # noqa: E402
 from fisheyerec.straightness import find_pieces, straightness  # noqa: E402
@@ -106,7 +106,7 @@ def test_the_gradient_is_that_of_the_cost():
     pieces, size = find_pieces(image)
     search = refinement._Search(pieces, wide_prior(), size)
     deviation = np.sqrt(np.diag(wide_prior().covariance))
-    chart = refinement._chart(CAMERA := room("strong_off_centre")[0]) + 0.05 * deviation * np.array(
+    chart = chart_of(CAMERA := room("strong_off_centre")[0]) + 0.05 * deviation * np.array(
         [1, -1, 1, -1, 1, 1, -1, 1]
     )
     assert CAMERA.image_size == size
@@ -222,7 +222,7 @@ def test_real_curves_do_not_pull_the_camera_away():
     for x, y in rng.uniform(100, 660, (14, 2)):
         cv2.circle(image, (int(x), int(y)), int(rng.uniform(60, 110)), int(rng.uniform(110, 250)), 6, cv2.LINE_AA)
     image = cv2.resize(image, (256, 256), interpolation=cv2.INTER_AREA)
-    known = Prior(refinement._chart(truth), 0.2**2 * wide_prior().covariance)
+    known = Prior(chart_of(truth), 0.2**2 * wide_prior().covariance)
     result = refine(image, truth, prior=known)
     assert bend_of_true_lines(truth, result.camera) < 0.3  # doing nothing to the distortion: 2
 
