@@ -106,9 +106,7 @@ def test_the_gradient_is_that_of_the_cost():
     pieces, size = find_pieces(image)
     search = refinement._Search(pieces, wide_prior(), size)
     deviation = np.sqrt(np.diag(wide_prior().covariance))
-    chart = chart_of(CAMERA := room("strong_off_centre")[0]) + 0.05 * deviation * np.array(
-        [1, -1, 1, -1, 1, 1, -1, 1]
-    )
+    chart = chart_of(CAMERA := room("strong_off_centre")[0]) + 0.05 * deviation * np.array([1, -1, 1, -1, 1, 1, -1, 1])
     assert CAMERA.image_size == size
     _, gradient = search.system(chart, 0.5)
     numeric = []
