@@ -31,12 +31,17 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from . import lens_chart, pixel
+from . import lens_chart
 from .cameras import FisheyeCamera, PinholeCamera
 from .rectification import rectify
 
+PICTURE_MEAN = (0.485, 0.456, 0.406)
+"""RGB of ImageNet's mean colour, which fills the margins of pictures that are not square."""
+
 # How far, in deviations of the lens population, the network may leave its mean.
 _LARGEST_DEVIATION = 5.0
+# The fully connected layers of `compact` read a grid of so many cells each way.
+_CELLS = 6
 
 
 class NetworkOutput(NamedTuple):
@@ -49,9 +54,9 @@ class NetworkOutput(NamedTuple):
     image: Tensor | None
     """(B, 3, H, W): the rectified pictures I_r; None where not asked for."""
     parsing: Tensor | None
-    """(B, N, h, w) logits of the scene parsing of the fisheye picture, at the network's resolution; None without."""
+    """(B, N, s, s) logits of the scene parsing of the picture in its square, perhaps smaller; None without."""
     first_parsing: Tensor | None
-    """(B, N, h, w) logits before the refinement network; None without scene parsing."""
+    """(B, N, s, s) logits before the refinement network; None without scene parsing."""
     rectified_parsing: Tensor | None
     """(B, N, H, W) probabilities of the classes in the rectified picture, 0 where it is empty; None like the others."""
     estimate: LensEstimate
@@ -79,7 +84,7 @@ class FishEyeRecNet(nn.Module):
         parsing: the scene parsing network, or None ("-SPN -SL" of Table 1).
         estimation: gives (B, 8) or, with its expected errors, (B, 16).
         longer_side: of the pictures that it is made for, in pixels.
-        fixed_size: whether the estimation network is bound to squares of that side.
+        fixed_size: whether the estimation network is bound to that side.
         design: what `from_design` needs to build the same network again.
     """
 
@@ -103,7 +108,7 @@ class FishEyeRecNet(nn.Module):
         mean, basis = lens_chart.population()
         self.register_buffer("lens_mean", mean)
         self.register_buffer("lens_basis", basis)
-        self.register_buffer("picture_mean", torch.tensor([0.485, 0.456, 0.406])[:, None, None])
+        self.register_buffer("picture_mean", torch.tensor(PICTURE_MEAN)[:, None, None])
         self.register_buffer("picture_deviation", torch.tensor([0.229, 0.224, 0.225])[:, None, None])
 
     @classmethod
@@ -122,18 +127,18 @@ class FishEyeRecNet(nn.Module):
 
     @classmethod
     def compact(cls, num_classes: int = 8, *, scene_parsing: bool = True) -> FishEyeRecNet:
-        """Build the four components at a size that ships: for pictures of any shape, longer side 192.
+        """Build the four components at a size that ships: made for pictures of longer side 192.
 
         Args:
             num_classes: of the scene parsing.
             scene_parsing: False for the ablation "-SPN -SL".
         """
-        widths = (16, 48, 64)
+        widths = (16, 32, 64, 64, 64)
         parsing = (
             SceneParsingNetwork(widths[-1], (48, 32), (16, 16, 16), num_classes, shrink=8) if scene_parsing else None
         )
-        base = CompactBaseNetwork(widths if scene_parsing else widths[:1])
-        estimation = CompactEstimationNetwork(widths[0] + (num_classes if scene_parsing else 0))
+        base = CompactBaseNetwork(widths if scene_parsing else widths[: CompactBaseNetwork.eighth + 1])
+        estimation = CompactEstimationNetwork(widths[CompactBaseNetwork.eighth], num_classes if scene_parsing else 0)
         return cls(base, parsing, estimation, 192, False, _design("compact", num_classes, scene_parsing))
 
     @classmethod
@@ -156,34 +161,36 @@ class FishEyeRecNet(nn.Module):
         """Estimate the lens and rectify picture and parsing.
 
         Args:
-            image: (B, 3, H, W) RGB in [0, 1]; 256x256 for `paper`, sides divisible by 32 for `compact`.
+            image: (B, 3, H, W) RGB in [0, 1]; its longer side is 256 for `paper`, a multiple of 32 for `compact`. The
+                network sees it in the middle of a square whose margins have the mean colour.
             straighten: whether to rectify at all.
 
         Raises:
             ValueError: another shape, or NaN or infinite values.
         """
-        estimate, parsing, first_parsing = self._estimate(image)
-        height, width = image.shape[-2:]
-        camera = FisheyeCamera(lens_chart.camera_from_chart(estimate.chart, (height, width)), (height, width))
-        view = PinholeCamera.edge_matched(camera, (height, width))
-        rectified = rectify(image, camera, view).image if straighten else None
-        rectified_parsing = None
-        if parsing is not None and straighten:
-            probabilities = functional.interpolate(
-                parsing.softmax(1), size=(height, width), mode="bilinear", align_corners=False
-            )
-            rectified_parsing = rectify(probabilities, camera, view).image
-        return NetworkOutput(camera, view, rectified, parsing, first_parsing, rectified_parsing, estimate)
-
-    def _estimate(self, image: Tensor) -> tuple[LensEstimate, Tensor | None, Tensor | None]:
         self._check_image(image)
-        normalised = (image - self.picture_mean) / self.picture_deviation
+        height, width = image.shape[-2:]
+        side = max(height, width)
+        top, left = (side - height) // 2, (side - width) // 2
+        normalised = functional.pad(
+            (image - self.picture_mean) / self.picture_deviation,
+            (left, side - width - left, top, side - height - top),
+        ).contiguous(memory_format=torch.channels_last)
         features = self.base(normalised)
         parsing = first_parsing = probabilities = None
         if self.parsing is not None:
             first_parsing, parsing = self.parsing(normalised, features[-1])
             probabilities = parsing.softmax(1)
-        return self._decode(self.estimation(normalised, features[0], probabilities)), parsing, first_parsing
+        estimate = self._decode(self.estimation(normalised, features[0], probabilities))
+        camera = FisheyeCamera(lens_chart.camera_from_chart(estimate.chart, (height, width)), (height, width))
+        view = PinholeCamera.edge_matched(camera, (height, width))
+        rectified = rectify(image, camera, view).image if straighten else None
+        rectified_parsing = None
+        if probabilities is not None and straighten:
+            enlarged = functional.interpolate(probabilities, size=(side, side), mode="bilinear", align_corners=False)
+            cropped = enlarged[..., top : top + height, left : left + width]
+            rectified_parsing = rectify(cropped, camera, view).image
+        return NetworkOutput(camera, view, rectified, parsing, first_parsing, rectified_parsing, estimate)
 
     def _decode(self, emitted: Tensor) -> LensEstimate:
         emitted = emitted.to(torch.float64)
@@ -194,13 +201,12 @@ class FishEyeRecNet(nn.Module):
         return LensEstimate(chart, spread @ spread.mT, deviation, log_sigma)
 
     def _check_image(self, image: Tensor) -> None:
-        side = self.longer_side
-        expected = f"(B, 3, {side}, {side})" if self.fixed_size else "(B, 3, H, W), H and W multiples of 32,"
-        fits = image.ndim == 4 and image.shape[1] == 3 and image.is_floating_point()
-        if fits and self.fixed_size:
-            fits = tuple(image.shape[-2:]) == (side, side)
-        elif fits:
-            fits = all(size > 0 and size % 32 == 0 for size in image.shape[-2:])
+        side = str(self.longer_side) if self.fixed_size else "a multiple of 32"
+        expected = f"(B, 3, H, W), the longer side {side},"
+        fits = image.ndim == 4 and image.shape[1] == 3 and image.is_floating_point() and min(image.shape) > 0
+        if fits:
+            longer = max(image.shape[-2:])
+            fits = longer == self.longer_side if self.fixed_size else longer % 32 == 0
         if not fits:
             raise ValueError(
                 f"FishEyeRecNet(): expected image of shape {expected} and a floating dtype, "
@@ -357,78 +363,77 @@ class EstimationNetwork(nn.Module):
 
 
 class CompactBaseNetwork(nn.Module):
-    """The base network of `compact`: from the picture at an eighth of its size down, halving at each stage.
+    """The base network of `compact`: residual convolutions that halve the picture at each stage.
 
     Args:
-        widths: channels at 1/8, 1/16, 1/32...
+        widths: channels at 1/2, 1/4, 1/8...
     """
+
+    eighth = 2
+    """Which of the stages gives an eighth of the picture's size."""
 
     def __init__(self, widths: Sequence[int]) -> None:
         super().__init__()
-        stages: list[nn.Module] = [nn.Sequential(nn.PixelUnshuffle(4), *_convolution(48, widths[0], 2))]
-        for before, width in itertools.pairwise(widths):
-            stages.append(nn.Sequential(*_convolution(before, width, 2), *_convolution(width, width, 1)))
+        stages: list[nn.Module] = [nn.Sequential(*_convolution(3, widths[0], 2))]
+        stages += [Residual(before, width, 2) for before, width in itertools.pairwise(widths)]
         self.stages = nn.ModuleList(stages)
 
     def forward(self, image: Tensor) -> list[Tensor]:
-        """(B, 3, H, W) -> a feature map for each of the widths."""
+        """(B, 3, S, S) -> feature maps of an eighth of its size and smaller."""
         features = [image]
         for stage in self.stages:
             features.append(stage(features[-1]))
-        return features[1:]
+        return features[1 + self.eighth :]
 
 
 class CompactEstimationNetwork(nn.Module):
-    """The estimation network of `compact`: residual convolutions that know where they are, and pooling that chooses.
+    """The estimation network of `compact`: from an eighth of the picture's size down to a grid of _CELLS x _CELLS.
 
-    What a lens does to a line depends on where the line lies: position and distance from the centre are inputs. Most
-    places of a picture say nothing about the lens: each pooled channel is a mean weighted by an attention of its own.
+    What a lens does to a line depends on where the line lies: the fully connected layers know each cell of the grid by
+    its place. Pooling over the whole picture, by mean or by attention, did not learn the lens (docs/decisions/0012).
 
     Args:
-        map_channels: channels of base network features and parsing together, at an eighth of the picture's size.
+        features: channels of the base network's features.
+        num_classes: of the parsing that it reads; 0 without.
     """
 
-    def __init__(self, map_channels: int) -> None:
+    def __init__(self, features: int, num_classes: int) -> None:
         super().__init__()
-        self.filters = nn.Sequential(
-            *_convolution(3 + 3, 32, 2), *_convolution(32, 32, 2), Residual(32), Residual(32), *_convolution(32, 48, 2)
+        self.filters = nn.Sequential(*_convolution(3, 8, 2), nn.AvgPool2d(4))
+        self.join = nn.Sequential(
+            nn.Conv2d(features + 8 + num_classes, 64, 1, bias=False), nn.BatchNorm2d(64), nn.ReLU(inplace=True)
         )
-        self.join = nn.Sequential(*_convolution(48 + map_channels, 48, 1), Residual(48))
-        self.stages = nn.Sequential(*_convolution(48, 96, 2), Residual(96), Residual(96))
-        self.attention, self.values = nn.Conv2d(96, 128, 1), nn.Conv2d(96, 128, 1)
-        self.head = nn.Sequential(nn.Linear(128, 128), nn.ReLU(inplace=True), nn.Linear(128, 2 * lens_chart.SIZE))
+        self.convolutions = nn.Sequential(Residual(64, 64, 2), Residual(64, 128, 2))
+        self.fully_connected = nn.Sequential(
+            nn.AdaptiveAvgPool2d(_CELLS),
+            nn.Flatten(),
+            nn.Linear(128 * _CELLS**2, 256),
+            nn.ReLU(inplace=True),
+            nn.Linear(256, 2 * lens_chart.SIZE),
+        )
 
     def forward(self, image: Tensor, features: Tensor, parsing: Tensor | None) -> Tensor:
-        """Picture (B, 3, H, W), features and parsing (B, ., H/8, W/8) -> (B, 16): the lens, log of expected errors."""
-        maps = [self.filters(torch.cat([image, _positions(image)], 1)), features]
+        """Picture (B, 3, S, S), features and parsing (B, ., S/8, S/8) -> (B, 16): the lens, log of expected errors."""
+        maps = [features, self.filters(image)]
         if parsing is not None:
             maps.append(parsing)
-        joined = self.stages(self.join(torch.cat(maps, 1)))
-        weights = self.attention(joined).flatten(2).softmax(-1)
-        emitted: Tensor = self.head((weights * self.values(joined).flatten(2)).sum(-1))
+        emitted: Tensor = self.fully_connected(self.convolutions(self.join(torch.cat(maps, 1))))
         return emitted
 
 
 class Residual(nn.Module):
-    """Two 3x3 convolutions with a short cut (He et al., 2016)."""
+    """Two 3x3 convolutions with a short cut (He et al., 2016), which averages where the stride is 2."""
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, before: int, width: int, stride: int) -> None:
         super().__init__()
-        self.convolutions = nn.Sequential(*_convolution(width, width, 1), *_convolution(width, width, 1)[:2])
+        self.convolutions = nn.Sequential(*_convolution(before, width, stride), *_convolution(width, width, 1)[:2])
+        self.short_cut = nn.Sequential(
+            nn.AvgPool2d(stride), nn.Conv2d(before, width, 1, bias=False), nn.BatchNorm2d(width)
+        )
 
     def forward(self, maps: Tensor) -> Tensor:
-        """(B, width, h, w) -> the same shape."""
-        return functional.relu(maps + self.convolutions(maps))
-
-
-def _positions(image: Tensor) -> Tensor:
-    """x, y and the distance from the centre at each pixel, in units of half the longer side: (B, 3, H, W)."""
-    batch, _, height, width = image.shape
-    half = max(height, width) / 2
-    x = (torch.arange(width, dtype=image.dtype, device=image.device) - pixel.centre(width)) / half
-    y = (torch.arange(height, dtype=image.dtype, device=image.device) - pixel.centre(height)) / half
-    y, x = torch.meshgrid(y, x, indexing="ij")
-    return torch.stack([x, y, torch.hypot(x, y)]).expand(batch, -1, -1, -1)
+        """(B, before, h, w) -> (B, width, h/stride, w/stride)."""
+        return functional.relu(self.short_cut(maps) + self.convolutions(maps))
 
 
 def _convolution(before: int, width: int, stride: int) -> list[nn.Module]:

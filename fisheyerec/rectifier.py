@@ -1,12 +1,10 @@
 """One call for one uncalibrated photo: look at a small copy, carry the camera back, rectify the photo itself.
 
     photo (any size) -> working copy (longer side at most 512 px, 8 bit RGB) -> frame that the network looks at
-    camera of the photo <- resize <- camera of the working copy, refined on its lines <- resize, crop <- its camera
+    camera of the photo <- resize <- camera of the working copy, refined on its lines <- resize <- its camera
 
-The frame keeps the longer side whole and square pixels within half a pixel; its shorter side, which must be a multiple
-of 32 px, is cropped or continued with the outermost pixels by a few per cent. A lens chart is relative to half the
-longer side, so the network's estimate and its covariance are those of the photo. Each arrow to the left undoes one to
-the right exactly, by `Camera.resize` and `Camera.crop`.
+Each arrow to the left undoes one to the right exactly, by `Camera.resize`. A lens chart is relative to half the longer
+side, so the network's estimate and its covariance are those of the photo.
 """
 
 from __future__ import annotations
@@ -39,9 +37,6 @@ from .weights import load_network
 SMALLEST_SIDE = 16
 """Photos below this many pixels on either side say nothing about a lens."""
 
-_MULTIPLE = 32  # what the sides of a frame divide by
-_FRAME_RANGE = (3 / 4, 5 / 4)  # of the network's own longer side
-_SIZE_WEIGHT = 0.2  # what a frame of another size costs, against one of another shape
 _JUDGED_SIDE = 256  # px, of the pictures whose error the confidence is about
 # The field of view, across the longer side, of the lens that an undistorted photo is said to have: any would do.
 _STRAIGHT_FOV = math.radians(50)
@@ -200,13 +195,14 @@ class Rectifier:
 
     def _look(self, working: np.ndarray) -> tuple[FisheyeCamera, np.ndarray]:
         """Ask the network: the camera of the working copy, and the covariance (8, 8) of its chart."""
-        frame = _frame(working.shape[:2], self.network)
-        tensor = torch.from_numpy(frame.take(working)).permute(2, 0, 1)[None] / 255
+        frame = _frame(working, self.network.longer_side)
+        tensor = torch.from_numpy(frame).permute(2, 0, 1)[None] / 255
         chart, covariance = _ask(self.network, tensor, self.average)
         if not (chart.isfinite().all() and covariance.isfinite().all()):
             raise ValueError("Rectifier(): expected a finite lens from the network, got none: broken weights?")
-        camera = FisheyeCamera(camera_from_chart(chart, frame.size).numpy(), frame.size)
-        return frame.undo(camera, working.shape[:2]), covariance.numpy()
+        size = frame.shape[:2]
+        camera = FisheyeCamera(camera_from_chart(chart, size).numpy(), size)
+        return camera.resize(working.shape[:2]), covariance.numpy()
 
 
 class _Photo(NamedTuple):
@@ -302,51 +298,12 @@ def _white(largest: float) -> float:
     return float(2 ** max(8, math.ceil(math.log2(largest + 1))) - 1)
 
 
-class _Frame(NamedTuple):
-    """How the network's input is cut out of a working copy: a box that may reach outside, resized."""
-
-    size: tuple[int, int]
-    """(height, width) of the input."""
-    box_size: tuple[int, int]
-    x0: int
-    y0: int
-
-    def take(self, working: np.ndarray) -> np.ndarray:
-        """(H, W, 3) to (h, w, 3)."""
-        rows = np.arange(self.y0, self.y0 + self.box_size[0]).clip(0, working.shape[0] - 1)
-        columns = np.arange(self.x0, self.x0 + self.box_size[1]).clip(0, working.shape[1] - 1)
-        shrinks = self.size[0] < self.box_size[0]
-        interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-        box: np.ndarray = working[rows[:, None], columns]
-        return np.asarray(cv2.resize(box, self.size[::-1], interpolation=interpolation))
-
-    def undo(self, camera: FisheyeCamera, working_size: tuple[int, int]) -> FisheyeCamera:
-        """Give the camera of the working copy from that of the input."""
-        return camera.resize(self.box_size).crop(-self.x0, -self.y0, working_size)
-
-
-def _frame(working_size: tuple[int, int], network: FishEyeRecNet) -> _Frame:
-    """Choose the frame whose shape is closest, among those about as large as the network is made for."""
-    longer, shorter = max(working_size), min(working_size)
-    if network.fixed_size:
-        sides = (network.longer_side, network.longer_side)
-    else:
-        low, high = (_MULTIPLE * round(network.longer_side * share / _MULTIPLE) for share in _FRAME_RANGE)
-        choices = [
-            (side, _MULTIPLE * max(1, round(side * shorter / longer / _MULTIPLE)))
-            for side in range(low, high + 1, _MULTIPLE)
-        ]
-
-        def cost(sides: tuple[int, int]) -> float:
-            misfit = math.log(sides[1] * longer / (sides[0] * shorter))
-            return abs(misfit) + _SIZE_WEIGHT * abs(math.log(sides[0] / network.longer_side))
-
-        sides = min(choices, key=cost)
-    box = round(sides[1] * longer / sides[0])
-    offset = (shorter - box) // 2
-    if working_size[0] > working_size[1]:
-        return _Frame(sides, (longer, box), offset, 0)
-    return _Frame(sides[::-1], (box, longer), 0, offset)
+def _frame(working: np.ndarray, longer_side: int) -> np.ndarray:
+    """Resize a working copy to what the network looks at: (h, w, 3), the shorter side even, so that it has a middle."""
+    height, width = (max(2, 2 * round(side * longer_side / max(working.shape[:2]) / 2)) for side in working.shape[:2])
+    shrinks = longer_side < max(working.shape[:2])
+    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(working, (width, height), interpolation=interpolation))
 
 
 def _ask(network: FishEyeRecNet, frame: Tensor, average: bool) -> tuple[Tensor, Tensor]:

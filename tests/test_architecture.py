@@ -202,7 +202,6 @@ OTHER_HALVES = {
     ("fisheyerec/cameras.py", "(np.arange(200) + 0.5) / 400"): "Chebyshev nodes",
     ("fisheyerec/reference.py", "torch.floor(sampled + 0.5)"): "rounding half up to grey levels",
     ("fisheyerec/network.py", "nn.Dropout(0.5)"): "the paper's drop-out",
-    ("fisheyerec/training/losses.py", "_IMPORTANCE = torch.tensor"): "weights",
     ("fisheyerec/training/train.py", "PAPER = TrainingRecipe"): "half of the steps",
 }
 

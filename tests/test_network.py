@@ -14,7 +14,7 @@ from torch import nn
 
 import fisheyerec as fr
 from fisheyerec import lens_chart
-from fisheyerec.network import BaseNetwork, CompactEstimationNetwork, FishEyeRecNet
+from fisheyerec.network import PICTURE_MEAN, BaseNetwork, FishEyeRecNet
 from fisheyerec.weights import load_network, save_network
 
 CLASSES = 150
@@ -380,22 +380,26 @@ def test_g_is_smooth_and_undone():
     assert g[4] - g[2] < 1e-6
 
 
-# --- Where things are -----------------------------------------------------------------------------------
+# --- Pictures that are not square -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [(64, 64), (64, 96), (96, 32)])
-def test_the_estimation_is_told_positions_in_units_of_half_the_longer_side(size):
-    """The same pixels from the centre, relative to the picture, are the same numbers, whatever its shape."""
-    net = CompactEstimationNetwork(1)
-    seen = []
-    net.filters.register_forward_pre_hook(lambda layer, inputs: seen.append(inputs[0]))
-    height, width = size
-    net.eval()(torch.zeros(2, 3, *size), torch.zeros(2, 1, height // 8, width // 8), None)
-    x, y, distance = seen[0][:, 3:].unbind(1)
-    longer = max(size)
-    assert torch.allclose(x[0, 0], (2 * torch.arange(width) - (width - 1)) / longer)
-    assert torch.allclose(y[1, :, 0], (2 * torch.arange(height) - (height - 1)) / longer)
-    assert torch.equal(distance, torch.hypot(x, y))
+@pytest.mark.parametrize("size", [(64, 40), (36, 64)])
+def test_a_picture_is_seen_in_the_middle_of_a_square_of_the_mean_colour(size):
+    torch.manual_seed(0)
+    net = FishEyeRecNet.compact(3).eval()
+    image = torch.rand(2, 3, *size)
+    square = torch.tensor(PICTURE_MEAN)[:, None, None].repeat(2, 1, 64, 64)
+    top, left = (64 - size[0]) // 2, (64 - size[1]) // 2
+    square[..., top : top + size[0], left : left + size[1]] = image
+    with torch.no_grad():
+        one, other = net(image), net(square)
+    for name in ("chart", "covariance"):
+        torch.testing.assert_close(getattr(one.estimate, name), getattr(other.estimate, name))
+    torch.testing.assert_close(one.parsing, other.parsing)
+    assert one.rectified_parsing.shape == (2, 3, *size)
+    # The lens is that of the picture itself, about its own centre.
+    offset = other.camera.params[:, 2:4] - one.camera.params[:, 2:4]
+    torch.testing.assert_close(offset, torch.tensor([[left, top]], dtype=torch.float64).expand(2, -1))
 
 
 # --- Weights files ----------------------------------------------------------------------------------------

@@ -104,28 +104,27 @@ def test_the_same_scene_at_two_resolutions_gives_the_same_camera(rectifier, room
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_a_point_of_the_frame_is_the_same_point_of_the_working_copy(network, size):
-    """A ramp of coordinates, cut out and resized as the network sees it, says where each pixel came from."""
+def test_a_point_of_the_frame_is_the_same_point_of_the_working_copy(size):
+    """A ramp of coordinates, resized as the network sees it, says where each pixel came from."""
     height, width = size
-    frame = module._frame(size, network)
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    seen = frame.take(np.stack([x, y, 0 * x], -1))[..., :2]
-    eight = fr.FisheyeCamera([100, 100, 0, 0, 0, 0, 0, 0], frame.size)
-    points = np.stack(np.meshgrid(np.arange(frame.size[1]), np.arange(frame.size[0])), -1)
-    expected, _ = frame.undo(eight, size).project(eight.unproject(points.astype(float))[0])
-    reach = 1 + max(side / small for side, small in zip(frame.box_size, frame.size, strict=True))
+    seen = module._frame(np.stack([x, y, 0 * x], -1), 192)
+    small = seen.shape[:2]
+    points = np.stack(np.meshgrid(np.arange(small[1]), np.arange(small[0])), -1).astype(float)
+    eight = fr.FisheyeCamera([100, 100, 0, 0, 0, 0, 0, 0], small)
+    expected, _ = eight.resize(size).project(eight.unproject(points)[0])
+    reach = 1 + max(side / shrunk for side, shrunk in zip(size, small, strict=True))
     inside = ((expected > reach) & (expected < np.array([width, height]) - 1 - reach)).all(-1)
     assert inside.any() or min(size) < 32
-    np.testing.assert_allclose(seen[inside], expected[inside], atol=1e-3 * max(size))
+    np.testing.assert_allclose(seen[..., :2][inside], expected[inside], atol=1e-3 * max(size))
 
 
 @pytest.mark.parametrize("size", [*SIZES, (16, 1600), (1600, 16)])
-def test_frames_are_what_the_network_takes_with_square_pixels(network, size):
-    frame = module._frame(size, network)
-    assert all(side % 32 == 0 for side in frame.size)
-    scales = np.divide(frame.size, frame.box_size)
-    assert abs(np.log(scales[0] / scales[1])) < 1 / min(frame.box_size)
-    assert 144 <= max(frame.size) <= 240 or max(frame.size) in (128, 256)
+def test_frames_keep_the_shape_within_a_pixel_and_have_a_middle(size):
+    frame = module._frame(np.zeros((*size, 3), np.uint8), 192)
+    assert max(frame.shape[:2]) == 192
+    assert all(side % 2 == 0 for side in frame.shape[:2])
+    assert abs(min(frame.shape[:2]) - 192 * min(size) / max(size)) <= 1
 
 
 @pytest.mark.parametrize("mirror", [(1, 1, False), (-1, 1, False), (1, -1, True), (-1, -1, True)])
@@ -337,12 +336,11 @@ def test_missing_weights_are_one_line(tmp_path, monkeypatch):
         Rectifier.from_pretrained()
 
 
-def test_a_network_of_the_paper_sees_a_square(ramp):
-    network = FishEyeRecNet.compact().eval()
-    network.fixed_size = True
-    frame = module._frame((384, 512), network)
-    assert (frame.size, frame.box_size) == ((192, 192), (512, 512))
-    assert np.isfinite(Rectifier(network).estimate(ramp, refine=False).camera.params).all()
+def test_a_network_of_the_paper_is_given_its_side(ramp):
+    network = Told.compact().eval()
+    network.fixed_size, network.longer_side = True, 256
+    Rectifier(network).estimate(ramp, refine=False)
+    assert network.seen.shape == (1, 3, 192, 256)
 
 
 # --- The command line -----------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from typer.testing import CliRunner
 import fisheyerec as fr
 from fisheyerec import lens_chart
 from fisheyerec.cli import app
-from fisheyerec.network import CompactBaseNetwork, FishEyeRecNet, LensEstimate, SceneParsingNetwork
+from fisheyerec.network import PICTURE_MEAN, CompactBaseNetwork, FishEyeRecNet, LensEstimate, SceneParsingNetwork
 
 lightning_fabric = pytest.importorskip("lightning_fabric", reason="training needs fisheyerec[train]")
 
@@ -36,7 +36,7 @@ from lightning_fabric.plugins.precision import MixedPrecision  # noqa: E402
 
 from fisheyerec.training import checkpoints, losses  # noqa: E402
 from fisheyerec.training import train as training  # noqa: E402
-from fisheyerec.training.augmentation import turn  # noqa: E402
+from fisheyerec.training.augmentation import crop, turn  # noqa: E402
 from fisheyerec.training.batches import AugmentedPairs, Batch, collate, load_batches  # noqa: E402
 from fisheyerec.training.log import TrainingLog  # noqa: E402
 from fisheyerec.training.sources import DecodedSource, Source, Sources  # noqa: E402
@@ -74,7 +74,7 @@ def tiny(design):
     """A network of all components for pictures of 64x64 that takes a step in milliseconds."""
     classes = design["num_classes"] if design["scene_parsing"] else 0
     parsing = SceneParsingNetwork(8, (8, 8), (8, 8, 8), classes, shrink=8) if classes else None
-    return FishEyeRecNet(CompactBaseNetwork((8, 8, 8)), parsing, TinyEstimation(8 + classes), SIDE, False, design)
+    return FishEyeRecNet(CompactBaseNetwork((8, 8, 8, 8, 8)), parsing, TinyEstimation(8 + classes), SIDE, False, design)
 
 
 def draw_sources(count=4, labelled=3):
@@ -242,9 +242,10 @@ def test_the_loss_on_the_lens_is_least_at_the_truth():
     nothing = torch.zeros_like(truth)
 
     def loss(deviation, log_sigma=nothing):
-        return losses.lens_loss(LensEstimate(charts, None, deviation, log_sigma), params, (SIDE, SIDE))
+        estimate = LensEstimate(mean + deviation @ basis.mT, None, deviation, log_sigma)
+        return losses.lens_loss(estimate, params, (SIDE, SIDE))
 
-    assert loss(truth) == 0
+    assert loss(truth) < 1e-20
     assert loss(truth + 0.1) > 0
     # The expected error that is likeliest is the true one.
     errors = [loss(truth + 0.1, nothing + math.log(sigma)) for sigma in (0.05, 0.1, 0.2)]
@@ -252,9 +253,12 @@ def test_the_loss_on_the_lens_is_least_at_the_truth():
     # A camera whose chart does not exist teaches nothing.
     folded = params.clone()
     folded[:, 4:] = torch.tensor([-0.6, 0.0, 0.0, 0.0])
-    estimate = LensEstimate(charts, None, nothing.requires_grad_(), torch.zeros_like(truth))
+    log_sigma = torch.zeros_like(truth)
+    estimate = LensEstimate(charts.clone().requires_grad_(), None, nothing, log_sigma.requires_grad_())
     losses.lens_loss(estimate, folded, (SIDE, SIDE)).backward()
-    assert torch.equal(nothing.grad, torch.zeros_like(nothing))
+    known = lens_chart.chart_from_camera(folded, (SIDE, SIDE)).isfinite()
+    assert not known[:, lens_chart.PROFILE].all(-1).any()
+    assert torch.equal(estimate.chart.grad[~known], torch.zeros(int((~known).sum()), dtype=torch.float64))
 
 
 @pytest.mark.parametrize("recipe", [MODERN, PAPER])
@@ -279,7 +283,7 @@ def test_the_total_is_the_weighted_sum(batch, recipe):
 
 
 def test_one_batch_is_learnt_by_heart(batch):
-    """Within 40 steps of `compact`: from about 2 px to less than 0.4 px in 64."""
+    """Within 40 steps of `compact`: from about 2 px to less than 0.6 px in 64."""
     torch.manual_seed(0)
     four = Batch(*(tensor[:4] for tensor in batch))
     network = FishEyeRecNet.compact(CLASSES)
@@ -292,7 +296,7 @@ def test_one_batch_is_learnt_by_heart(batch):
         optimizer.step()
         history.append((total.item(), parts["landing"].item()))
     assert history[0][1] > 1
-    assert history[-1][1] < 0.4
+    assert history[-1][1] < 0.6
     assert history[-1][0] < history[0][0] / 4
 
 
@@ -311,6 +315,23 @@ def test_batches_are_the_same_whoever_makes_them(workers):
     for whole, *parts in zip(here, *shares, strict=True):
         for field, one, other in zip(whole, *parts, strict=True):
             assert torch.equal(field, torch.stack([one, other], 1).flatten(0, 1))
+
+
+def test_every_other_picture_gets_the_margins_of_another_shape():
+    rng = np.random.default_rng(0)
+    picture, labels = np.full((64, 64, 3), 7, np.uint8), np.ones((64, 64), np.uint8)
+    heights = []
+    for _ in range(200):
+        cropped, cropped_labels = crop(rng, picture, labels)
+        inside = (cropped == 7).all((1, 2))
+        assert np.array_equal(inside, inside[::-1])
+        assert np.array_equal(cropped_labels, np.repeat(inside[:, None], 64, 1))
+        # What the network subtracts leaves nothing of a margin.
+        assert np.abs(cropped[~inside] / 255 - PICTURE_MEAN).max(initial=0) <= 0.5 / 255
+        heights.append(inside.sum())
+    assert 80 < heights.count(64) < 130
+    assert 32 <= min(heights) < 36
+    assert crop(rng, picture, None)[1] is None
 
 
 @pytest.mark.parametrize("mirror", [False, True])

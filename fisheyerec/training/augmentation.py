@@ -7,6 +7,26 @@ import io
 import numpy as np
 from PIL import Image, ImageFilter
 
+from ..network import PICTURE_MEAN
+from .losses import UNLABELLED
+
+_MARGIN = np.round(255 * np.array(PICTURE_MEAN)).astype(np.uint8)
+_WIDEST_SHAPE = 2.0
+
+
+def crop(
+    rng: np.random.Generator, fisheye: np.ndarray, labels: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Make every other square picture a photo of another shape in a square with margins, as the network sees one."""
+    if rng.random() < 1 / 2:
+        return fisheye, labels
+    height = len(fisheye)
+    margin = round(height * (1 - 1 / rng.uniform(1, _WIDEST_SHAPE)) / 2)
+    outside = np.ones(height, dtype=bool)
+    outside[margin : height - margin] = False
+    fisheye = np.where(outside[:, None, None], _MARGIN, fisheye)
+    return fisheye, None if labels is None else np.where(outside[:, None], UNLABELLED, labels).astype(np.uint8)
+
 
 def turn(
     fisheye: np.ndarray, labels: np.ndarray | None, camera: np.ndarray, quarter_turns: int, mirror: bool

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from .augmentation import develop, turn
+from .augmentation import crop, develop, turn
 from .losses import UNLABELLED
 from .synthesis import SyntheticPairs
 
@@ -34,7 +34,7 @@ class AugmentedPairs(Dataset[Batch]):
 
     Args:
         pairs: where they come from.
-        augment: whether to turn, mirror and develop them; pairs with a straight picture are not turned.
+        augment: whether to develop, crop, turn and mirror them; pairs with a straight picture are only developed.
     """
 
     def __init__(self, pairs: SyntheticPairs, augment: bool) -> None:
@@ -46,9 +46,10 @@ class AugmentedPairs(Dataset[Batch]):
         fisheye, labels, camera = pair.fisheye, pair.labels, pair.camera
         if self.augment:
             rng = np.random.default_rng([self.pairs.seed, 2, index])
-            if pair.rectified is None:
-                fisheye, labels, camera = turn(fisheye, labels, camera, int(rng.integers(4)), bool(rng.integers(2)))
             fisheye = develop(rng, fisheye)
+            if pair.rectified is None:
+                fisheye, labels = crop(rng, fisheye, labels)
+                fisheye, labels, camera = turn(fisheye, labels, camera, int(rng.integers(4)), bool(rng.integers(2)))
         height, width = fisheye.shape[:2]
         rectified = np.empty((height, width, 0), np.uint8) if pair.rectified is None else pair.rectified
         if labels is None:

@@ -44,10 +44,10 @@ def parsing_loss(logits: Tensor, labels: Tensor) -> Tensor:
 
 
 def lens_loss(estimate: LensEstimate, params: Tensor, image_size: tuple[int, int]) -> Tensor:
-    """How far the estimated lens is off, each direction of the population weighted by how far it moves pixels.
+    """How far the estimated lens is off: smooth L1 of each number of the chart, in its deviations of the population.
 
-    Smooth L1 of the deviations; and, for networks that emit it, the likelihood of their expected errors, which does
-    not act on the estimate itself: a network must not find it cheaper to doubt than to learn.
+    Besides, for networks that emit it, the likelihood of their expected errors, which does not act on the estimate
+    itself: a network must not find it cheaper to doubt than to learn.
 
     Args:
         estimate: of the network, for B pictures.
@@ -56,17 +56,19 @@ def lens_loss(estimate: LensEstimate, params: Tensor, image_size: tuple[int, int
     """
     mean, basis = (value.to(params.device) for value in lens_chart.population())
     chart = lens_chart.chart_from_camera(params, image_size)
-    deviation = (chart - mean) @ torch.linalg.inv(basis).mT
-    error = torch.where(deviation.isfinite(), estimate.deviation - deviation, 0.0)
+    known = chart.isfinite()
+    error = torch.where(known, (estimate.chart - chart) / basis.norm(dim=-1), 0.0)
     weight = _IMPORTANCE.to(error)
     loss = (weight * functional.smooth_l1_loss(error, torch.zeros_like(error), reduction="none")).sum(-1).mean()
-    scaled = error.detach() / estimate.log_sigma.exp()
+    deviation = (chart - mean) @ torch.linalg.inv(basis).mT
+    doubted = torch.where(known.all(-1, keepdim=True), estimate.deviation.detach() - deviation, 0.0)
+    scaled = doubted / estimate.log_sigma.exp()
     return loss + _DOUBT * (scaled.square() / 2 + estimate.log_sigma).mean()
 
 
-# By the square of the displacement that one deviation causes; but the principal point, which is learnt last, gets half
-# of its share, so that its noise does not drown the profile.
-_IMPORTANCE = torch.tensor([1.0, 0.4, 0.05, 0.01, 0.01, 0.5, 0.5, 0.01])
+# Most to the profile, which curvature shows. Little to what a photo hardly tells: field of view, principal point and
+# aspect, whose noise drowned the profile when each counted by how far it moves pixels.
+_IMPORTANCE = torch.tensor([0.25, 0.25, 0.25, 0.25, 0.05, 0.02, 0.02, 0.01])
 _DOUBT = 0.02
 
 
