@@ -283,11 +283,11 @@ def test_the_total_is_the_weighted_sum(batch, recipe):
 
 
 def test_one_batch_is_learnt_by_heart(batch):
-    """Within 40 steps of `compact`: from about 2 px to less than 0.6 px in 64."""
+    """Within 40 steps of `compact`: from about 2 px to less than 0.4 px in 64."""
     torch.manual_seed(0)
     four = Batch(*(tensor[:4] for tensor in batch))
     network = FishEyeRecNet.compact(CLASSES)
-    optimizer = torch.optim.AdamW(network.parameters(), 3e-3)
+    optimizer = torch.optim.AdamW(network.parameters(), 3e-4)
     history = []
     for _ in range(40):
         optimizer.zero_grad()
@@ -296,7 +296,7 @@ def test_one_batch_is_learnt_by_heart(batch):
         optimizer.step()
         history.append((total.item(), parts["landing"].item()))
     assert history[0][1] > 1
-    assert history[-1][1] < 0.6
+    assert history[-1][1] < 0.4
     assert history[-1][0] < history[0][0] / 4
 
 
@@ -799,7 +799,7 @@ app(["train", ".", "-o", "run"])
 
 
 def test_ctrl_c_leaves_a_checkpoint_and_one_line(train, tmp_path, monkeypatch):
-    seed = training._seed_chance
+    seed, handler = training._seed_chance, signal.getsignal(signal.SIGINT)
 
     def press(number, step, rank):
         seed(number, step, rank)
@@ -813,7 +813,7 @@ def test_ctrl_c_leaves_a_checkpoint_and_one_line(train, tmp_path, monkeypatch):
     (line,) = result.stderr.splitlines()
     assert line.startswith("fisheyerec train: stopped; the same command goes on where")
     assert [path.name for path in checkpoints.list_checkpoints(tmp_path / "run")] == ["step-00000003"]
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is handler
     assert train().exit_code == 0
     assert [path.name for path in checkpoints.list_checkpoints(tmp_path / "run")] == ["step-00000004"]
 
