@@ -390,7 +390,7 @@ class CompactEstimationNetwork(nn.Module):
     """The estimation network of `compact`: from an eighth of the picture's size down to a grid of _CELLS x _CELLS.
 
     What a lens does to a line depends on where the line lies: the fully connected layers know each cell of the grid by
-    its place. Pooling over the whole picture, by mean or by attention, did not learn the lens (docs/decisions/0012).
+    its place.
 
     Args:
         features: channels of the base network's features.

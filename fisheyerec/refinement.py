@@ -38,8 +38,8 @@ _SHARED_ERROR = 3.0
 _TURN = 0.005  # rad, of a line in a family of parallels besides its noise
 _TURN_CUT = 0.01  # rad, where rho begins to give up
 _STRAIGHT_PX = 0.4
-# Where the lines contradict the prior by so much (chi squared of 8; no pair of the standard protocol is above), or a
-# lens of the wide prior lowers their cost by so much, the wide prior takes its place.
+# Where the lines contradict the prior by so much (chi squared of 8; found on the wide chessboards, decision 0012), or
+# a lens of the wide prior lowers their cost by so much, the wide prior takes its place.
 _SURPRISE, _STRAIGHTER = 12.0, 150.0
 _STEP_LIMIT = 2.0  # in standard deviations of the prior
 # Cut of rho in pixels before merging; then tolerance of merging and cut.

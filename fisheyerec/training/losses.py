@@ -67,7 +67,7 @@ def lens_loss(estimate: LensEstimate, params: Tensor, image_size: tuple[int, int
 
 
 # Most to the profile, which curvature shows. Little to what a photo hardly tells: field of view, principal point and
-# aspect, whose noise drowned the profile when each counted by how far it moves pixels.
+# aspect.
 _IMPORTANCE = torch.tensor([0.25, 0.25, 0.25, 0.25, 0.05, 0.02, 0.02, 0.01])
 _DOUBT = 0.02
 
