@@ -16,7 +16,8 @@ from ._arguments import (
     Names,
     check_camera,
     check_interpolates,
-    check_options,
+    check_interpolation,
+    check_padding,
     check_size,
 )
 from .cameras import Camera, FisheyeCamera
@@ -148,7 +149,8 @@ def _resample(
 ) -> tuple[Tensor, Tensor]:
     function = names.function
     _check_image(names, image)
-    check_options(function, interpolation, padding)
+    check_interpolation(function, interpolation)
+    check_padding(function, padding)
     check_interpolates(names, image.is_floating_point() or image.dtype == torch.uint8, interpolation, image.dtype)
     check_camera(function, names.source, source)
     check_camera(function, names.target, target)
@@ -233,7 +235,8 @@ class DistortionRectification(nn.Module):
     def __init__(self, view: Camera, *, interpolation: str = "bilinear", padding: str = "zeros") -> None:
         super().__init__()
         check_camera("DistortionRectification", "view", view)
-        check_options("DistortionRectification", interpolation, padding)
+        check_interpolation("DistortionRectification", interpolation)
+        check_padding("DistortionRectification", padding)
         self.view_type, self.view_size = type(view), view.image_size
         # Not a buffer: half() and bfloat16() of the model would round the focal length by pixels.
         self.view_params = torch.as_tensor(view.params)

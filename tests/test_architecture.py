@@ -152,9 +152,9 @@ MAY_INCLUDE = {
 
 # Libraries by their headers' first part. The standard library's headers have none, and no suffix.
 LIBRARIES = {
-    "torch": {"torch", "Python.h", "sys"},
+    "torch": {"torch", "Python.h"},
     "numpy": {"pybind11", "Python.h"},
-    "kernels": {"omp.h", "pthread.h"},
+    "kernels": {"omp.h", "pthread.h", "sys"},
 }
 
 # What the maths of one pixel needs: nothing that allocates, locks, prints or throws.
