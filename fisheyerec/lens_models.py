@@ -18,6 +18,9 @@ from .camera_files import record
 # A straight line through the plane of a pinhole's rays is followed to 89.9 degrees off the axis.
 _WIDEST_TANGENT = np.tan(np.radians(89.9))
 
+# Radians: a picture that spans less has no focal length in double precision.
+_NARROWEST = 1e-6
+
 # Positions along each side of the picture, from edge to edge, that a camera is fitted on and its error measured on.
 _FITTED, _MEASURED = 33, 65
 
@@ -71,7 +74,7 @@ def fit(model: str, params: Sequence[float], image_size: tuple[int, int]) -> Fit
 
     nodes = np.cos(np.linspace(np.pi, 0, _FITTED))
     points, rays = _seen(model, params, image_size, nodes)
-    if len(points) < _FITTED or not np.any(rays[:, :2]):
+    if len(points) < _FITTED or np.abs(rays[:, :2]).max() < _NARROWEST:
         raise ValueError(
             f"expected a {model} lens whose picture sees rays off its axis, got rays at {len(points)} of "
             f"{_FITTED**2} positions"

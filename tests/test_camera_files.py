@@ -700,6 +700,7 @@ def test_opencv_reads_what_is_written_for_it(tmp_path: Path, camera: CameraFile,
     cv2 = pytest.importorskip("cv2")
     path = tmp_path / f"camera{suffix}"
     write_camera_file(path, camera, format="opencv")
+    assert path.read_text().count("opencv-matrix") == 2
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     fx, fy, cx, cy, *coefficients = camera.params
     assert storage.getNode("camera_matrix").mat().tolist() == [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]

@@ -369,6 +369,7 @@ def test_load_gives_each_class_its_own_model():
         ("ocam", (*K[2:], 0, 0, 0, 0, 200, *[0] * 9), "from_model(): "),
         ("ocam", (*K[2:], 1, 0, 0, 1, -200, *[0] * 9), "from_model(): expected"),
         ("ocam", (*K[2:], 1, 0, 0, 1, 1e300, *[0] * 9), "off its axis, got rays at 1089 of 1089 positions"),
+        ("division", (1e300, 1e300, *K[2:], -0.1), "off its axis, got rays at 1089 of 1089 positions"),
         ("brown_conrady", (*K, 1e300, *[0] * 11), "from_model(): "),
     ],
 )

@@ -82,7 +82,7 @@ def opencv_text(camera: CameraFile, suffix: str) -> str:
     if suffix == ".json":
         typed = {name: {"type_id": "opencv-matrix", **value} for name, value in matrices.items()}
         return json_text({**sizes, **typed, "fisheye_model": flag})
-    # OpenCV tells a matrix by its tag, and before version 5 takes no other header.
+    # Header and tags as OpenCV up to 4 writes them, which later ones read.
     text = yaml_text({**sizes, **matrices, "fisheye_model": flag})
     for name in matrices:
         text = text.replace(f"{name}:\n", f"{name}: !!opencv-matrix\n")
