@@ -244,7 +244,7 @@ class FisheyeCamera(Camera):
         """Read a fisheye camera from a lens file of any format, fitting one where the lens is of another model.
 
         Args:
-            path: the file: of the house (JSON or YAML), OpenCV, ROS, kalibr, COLMAP, gyroflow or OCamCalib.
+            path: the file: of the house (JSON or YAML), OpenCV, ROS, kalibr, COLMAP, gyroflow, OCamCalib or camodocal.
             image_size: (height, width), needed where the format does not hold it.
             max_fit_error_px: the largest error of the fit that is taken, as in `from_model`.
 
@@ -382,7 +382,8 @@ class FisheyeCamera(Camera):
 
         Args:
             model: "brown_conrady", "unified", "extended_unified", "double_sphere", "division", "field_of_view",
-                "thin_prism_fisheye" or "ocam"; their equations and sources are in lens_models.py.
+                "thin_prism_fisheye" or "ocam"; their equations and sources are in lens_models.py. A turn about the
+                optical axis that an ocam lens holds is one of its frame, and left out.
             params: the model's parameters, as `camera_files.record.PARAMETERS` names them.
             image_size: (height, width).
             max_fit_error_px: the largest error that is taken.

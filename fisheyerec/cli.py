@@ -143,7 +143,8 @@ def convert(
     camera: Annotated[
         Path,
         typer.Argument(
-            help="Lens file: of fisheyerec, OpenCV, ROS, kalibr, COLMAP, gyroflow or OCamCalib.", show_default=False
+            help="Lens file: of fisheyerec, OpenCV, ROS, kalibr, COLMAP, gyroflow, OCamCalib or camodocal.",
+            show_default=False,
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Lens file to write.")],

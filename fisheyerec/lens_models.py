@@ -47,7 +47,7 @@ def unproject(model: str, params: Sequence[float], points: np.ndarray) -> np.nda
         points: (..., 2) in pixels as (x, y), float64.
 
     Returns:
-        rays (..., 3), x right, y down, z forward, of any length; NaN where there is none.
+        rays (..., 3), x right, y down, z forward, of unit length; NaN where there is none.
     """
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         rays = np.stack(np.broadcast_arrays(*MODELS[model](points[..., 0], points[..., 1], *params)), -1)
@@ -72,15 +72,14 @@ def fit(model: str, params: Sequence[float], image_size: tuple[int, int]) -> Fit
     """
     from . import _numpy
 
-    nodes = np.cos(np.linspace(np.pi, 0, _FITTED))
-    points, rays = _seen(model, params, image_size, nodes)
-    if len(points) < _FITTED or np.abs(rays[:, :2]).max() < _NARROWEST:
+    nodes, node_rays = _seen(model, params, image_size, np.cos(np.linspace(np.pi, 0, _FITTED)))
+    points, rays = _seen(model, params, image_size, np.linspace(-1, 1, _MEASURED))
+    if min(len(nodes), len(points)) < _FITTED or np.abs(node_rays[:, :2]).max() < _NARROWEST:
         raise ValueError(
             f"expected a {model} lens whose picture sees rays off its axis, got rays at {len(points)} of "
-            f"{_FITTED**2} positions"
+            f"{_MEASURED**2} positions"
         )
-    fitted = _fit_kannala_brandt(points, rays)
-    points, rays = _seen(model, params, image_size, np.linspace(-1, 1, _MEASURED))
+    fitted = _fit_kannala_brandt(nodes, node_rays)
     again, valid = _numpy.project(record.KANNALA_BRANDT, fitted, rays)
     error = np.where(valid, np.hypot(*(again - points).T), np.inf)
     return FittedParams(fitted, float(error.max()), float(np.sqrt(np.mean(error**2))))
@@ -230,7 +229,7 @@ def _extended_unified(u: Any, v: Any, fx: float, fy: float, cx: float, cy: float
 
 
 def _double_sphere(u: Any, v: Any, fx: float, fy: float, cx: float, cy: float, xi: float, alpha: float) -> _Ray:
-    """Usenko, Demmel and Cremers 2018, Eqs. 46 to 50."""
+    """Usenko, Demmel and Cremers 2018: the unit sphere, seen from a second one xi away, then as unified with alpha."""
     x, y = (u - cx) / fx, (v - cy) / fy
     r2 = x * x + y * y
     z = (1 - alpha * alpha * r2) / (alpha * np.sqrt(1 - (2 * alpha - 1) * r2) + 1 - alpha)
@@ -267,10 +266,14 @@ def _thin_prism_fisheye(
 def _ocam(u: Any, v: Any, cx: float, cy: float, xx: float, xy: float, yx: float, yy: float, *polynomial: float) -> _Ray:
     """Scaramuzza, Martinelli and Siegwart 2006: (x, y, a0 + a1 r + a2 r^2 + ...), after an affine map of the pixels.
 
-    Its angle turns where the polynomial without r times its derivative does: sum (1 - i) a_i r^i = 0.
+    Its angle turns where the polynomial without r times its derivative does: sum (1 - i) a_i r^i = 0. The affine map is
+    a stretch after a turn (polar decomposition). The turn, which calibrations may hold degrees of, is left out: it
+    belongs to the camera's frame and says nothing about the lens.
     """
-    inverse = np.linalg.pinv(np.array([[xx, xy], [yx, yy]]))
-    x, y = np.einsum("ij,j...->i...", inverse, np.stack([u - cx, v - cy]))
+    affine = np.array([[xx, xy], [yx, yy]])
+    left, stretches, _ = np.linalg.svd(affine)
+    pixel_from_plane = np.where(np.linalg.det(affine) > 0, (left * stretches) @ left.T, np.nan)  # else it is mirrored
+    x, y = np.einsum("ij,j...->i...", np.linalg.inv(pixel_from_plane), np.stack([u - cx, v - cy]))
     r = np.hypot(x, y)
     turn = _first_positive_root([(1 - i) * a for i, a in enumerate(polynomial)])
     return x, y, np.where(r < turn, np.polyval(polynomial[::-1], r), np.nan)

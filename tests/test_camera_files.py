@@ -227,6 +227,14 @@ def kalibr(camera: str, distortion: str, intrinsics: list[float], coefficients: 
     )
 
 
+def camodocal(model: str, *names: str) -> str:
+    return (
+        f"%YAML:1.0\n---\nmodel_type: {model}\ncamera_name: left\nimage_width: 640\nimage_height: 480\n"
+        "distortion_parameters:\n   k1: 0.125\n   k2: -0.0625\n   p1: 1e-05\n   p2: -0.03125\nprojection_parameters:\n"
+        + "".join(f"   {name}: {value}\n" for name, value in zip(names, PINHOLE.params, strict=True))
+    )
+
+
 RADTAN = (0.125, -0.0625, 1e-05, -0.03125)
 RATIONAL = (*RADTAN, 0.5, 0.25, 0.375, 0.75)
 PRISM = (*RATIONAL, 1e-3, 2e-3, 3e-3, 4e-3)
@@ -311,6 +319,16 @@ READ_OTHER_MODELS = {
     "adapter ocam": (
         ADAPTER_OCAM,
         CameraFile("ocam", 640, 480, (319.75, 240.5, 0.75, 0.0625, 0.125, 1.0, *POLYNOMIAL)),
+    ),
+    "camodocal mei": (
+        camodocal("MEI", "gamma1", "gamma2", "u0", "v0") + "mirror_parameters:\n   xi: 1.5\n",
+        lens("unified", 1.5, *RADTAN),
+    ),
+    "camodocal pinhole": (camodocal("PINHOLE", "fx", "fy", "cx", "cy"), lens("brown_conrady", *RADTAN)),
+    "camodocal fisheye": (
+        camodocal("KANNALA_BRANDT", "mu", "mv", "u0", "v0")
+        + "   k2: 0.125\n   k3: -0.0625\n   k4: 1e-05\n   k5: -0.03125\n",
+        KB,
     ),
     "ocamcalib": (
         OCAMCALIB,
@@ -610,6 +628,18 @@ REFUSED = {
         "5e-06]",
         "5e-06, 0, 0, 0, 0, 0, 0, 0]",
         "expected at most 16 parameters of ocam, got 17",
+    ),
+    "camodocal other": (
+        camodocal("PINHOLE", "fx", "fy", "cx", "cy"),
+        "PINHOLE",
+        "SCARAMUZZA",
+        "model: expected one of MEI, KANNALA_BRANDT, PINHOLE, got SCARAMUZZA",
+    ),
+    "camodocal missing": (
+        camodocal("PINHOLE", "fx", "fy", "cx", "cy"),
+        "p2:",
+        "p3:",
+        "expected key 'distortion_parameters.p2', got k1, k2, p1, p3",
     ),
     "ocamcalib nan": (OCAMCALIB, "319.75", "nan", "center[1]: expected a finite number, got 'nan'"),
     "ocamcalib count": (OCAMCALIB, "4 -2.0", "5 -2.0", "polynomial: expected 5 coefficients"),

@@ -34,7 +34,7 @@ def pixels(x, y, fx, fy, cx, cy):
 
 
 def project_unified(X, Y, Z, fx, fy, cx, cy, xi, k1, k2, p1, p2):
-    """Mei and Rives, Eqs. 1 to 5: the unit sphere, seen from xi above its centre, then Brown's distortion."""
+    """Mei and Rives 2007: the unit sphere, seen from xi above its centre, then Brown's distortion."""
     d = np.sqrt(X**2 + Y**2 + Z**2)
     x, y = X / (Z + xi * d), Y / (Z + xi * d)
     s = x**2 + y**2
@@ -47,13 +47,13 @@ def project_unified(X, Y, Z, fx, fy, cx, cy, xi, k1, k2, p1, p2):
 
 
 def project_extended_unified(X, Y, Z, fx, fy, cx, cy, alpha, beta):
-    """Khomutenko et al., Eq. 6."""
+    """Khomutenko, Garcia and Martinet 2016."""
     denominator = alpha * np.sqrt(beta * (X**2 + Y**2) + Z**2) + (1 - alpha) * Z
     return pixels(X / denominator, Y / denominator, fx, fy, cx, cy)
 
 
 def project_double_sphere(X, Y, Z, fx, fy, cx, cy, xi, alpha):
-    """Usenko et al., Eqs. 40 to 42."""
+    """Usenko, Demmel and Cremers 2018."""
     d1 = np.sqrt(X**2 + Y**2 + Z**2)
     d2 = np.sqrt(X**2 + Y**2 + (xi * d1 + Z) ** 2)
     denominator = alpha * d2 + (1 - alpha) * (xi * d1 + Z)
@@ -68,7 +68,7 @@ def project_division(X, Y, Z, fx, fy, cx, cy, k1):
 
 
 def project_field_of_view(X, Y, Z, fx, fy, cx, cy, omega):
-    """Devernay and Faugeras, Eq. 13."""
+    """Devernay and Faugeras 2001."""
     ru = np.hypot(X, Y) / Z
     rd = np.arctan(2 * ru * np.tan(omega / 2)) / omega
     return pixels(rd / ru * X / Z, rd / ru * Y / Z, fx, fy, cx, cy)
@@ -192,7 +192,23 @@ def test_ocam_is_cam2world_of_its_toolbox(tmp_path):
     z = np.polyval(a[::-1], np.hypot(x, y))
     expected = np.stack([y, x, -z], -1)  # to the right, down, to the front
     expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
-    np.testing.assert_allclose(lens_models.unproject("ocam", file.params, points), expected, atol=1e-12)
+    rays = lens_models.unproject("ocam", file.params, points)
+    # But for a turn about the optical axis, of the affine map's nearest rotation.
+    u, _, vt = np.linalg.svd([[1, e], [d, c]])
+    turn = np.eye(3)
+    turn[:2, :2] = u @ vt
+    np.testing.assert_allclose(rays, expected @ turn.T, atol=1e-12)
+    assert np.degrees(np.arctan2(turn[1, 0], turn[0, 0])) == pytest.approx(np.degrees((d - e) / (1 + c)), rel=1e-3)
+
+
+def test_a_turn_of_the_frame_is_no_distortion():
+    """OCamCalib's d = -e: a frame that is turned by 3.3 degrees, the camera is the same."""
+    polynomial = (475.4, 0.0, -7.05e-4, -6.1e-8, -1.4e-10, *[0] * 5)
+    straight = fr.FisheyeCamera.from_model("ocam", (983.4, 577.7, 1, 0, 0, 1, *polynomial), (1096, 1948))
+    turned = np.radians(3.3)
+    c, s = np.cos(turned), np.sin(turned)
+    camera = fr.FisheyeCamera.from_model("ocam", (983.4, 577.7, c, -s, s, c, *polynomial), (1096, 1948))
+    np.testing.assert_allclose(camera.params, straight.params, rtol=1e-6)
 
 
 # --- Where a lens ends ----------------------------------------------------------------------------
@@ -266,6 +282,14 @@ def test_only_the_part_of_the_picture_that_a_lens_fills_is_fitted():
     model, params, _ = ENDS["double_sphere"]
     camera = fr.FisheyeCamera.from_model(model, (150, 150, *params[2:]), SIZE)
     assert camera.fit_error_px < 1
+
+
+def test_a_lens_is_fitted_where_it_sees():
+    """Of the kind of KITTI-360's: xi beyond 1, strongly bent, its picture a circle within a square picture."""
+    params = (1336.0, 1335.5, 717.0, 706.0, 2.2, 0.017, 1.65, 4e-4, 4e-4)
+    seen = np.isfinite(lens_models.unproject("unified", params, grid((1400, 1400)))[:, 0])
+    assert 0.8 < seen.mean() < 0.9
+    assert fr.FisheyeCamera.from_model("unified", params, (1400, 1400)).fit_error_px < 0.9
 
 
 def test_cameras_that_were_not_fitted_tell_no_error(tmp_path):
@@ -364,12 +388,13 @@ def test_load_gives_each_class_its_own_model():
         ("double_sphere", K, "from_model(): params: expected fx, fy, cx, cy, xi, alpha, got 4 numbers"),
         ("double_sphere", (*K, np.nan, 0.5), "from_model(): xi: expected a finite number, got nan"),
         ("double_sphere", (-1, *K[1:], 0, 0.5), "from_model(): fx: expected a positive number, got -1"),
-        ("double_sphere", (1, 1, *K[2:], 0, 0.9), "whose picture sees rays off its axis, got rays at 1 of 1089"),
+        ("double_sphere", (1, 1, *K[2:], 0, 0.9), "whose picture sees rays off its axis, got rays at"),
         ("brown_conrady", (*K, -0.01, 0, 0.05, 0.05, *[0] * 8), "a brown_conrady lens that kannala_brandt fits within"),
         ("ocam", (*K[2:], 0, 0, 0, 0, 200, *[0] * 9), "from_model(): "),
+        ("ocam", (*K[2:], 1, 0, 0, -1, 200, *[0] * 9), "off its axis, got rays at 0 of 4225 positions"),
         ("ocam", (*K[2:], 1, 0, 0, 1, -200, *[0] * 9), "from_model(): expected"),
-        ("ocam", (*K[2:], 1, 0, 0, 1, 1e300, *[0] * 9), "off its axis, got rays at 1089 of 1089 positions"),
-        ("division", (1e300, 1e300, *K[2:], -0.1), "off its axis, got rays at 1089 of 1089 positions"),
+        ("ocam", (*K[2:], 1, 0, 0, 1, 1e300, *[0] * 9), "off its axis, got rays at 4225 of 4225 positions"),
+        ("division", (1e300, 1e300, *K[2:], -0.1), "off its axis, got rays at 4225 of 4225 positions"),
         ("brown_conrady", (*K, 1e300, *[0] * 11), "from_model(): "),
     ],
 )

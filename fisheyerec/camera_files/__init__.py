@@ -1,4 +1,4 @@
-"""Reads and writes lens files: the house's JSON and YAML, OpenCV, ROS, kalibr, COLMAP, gyroflow, OCamCalib.
+"""Reads and writes lens files: the house's JSON and YAML, OpenCV, ROS, kalibr, COLMAP, gyroflow...
 
 Every format is read into one plain record, `CameraFile`, in the house's order and pixel convention
 (integer coordinates are pixel centres). Formats are told apart by what a file holds, not by its
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .adapter import parse_adapter
+from .camodocal import parse_camodocal
 from .colmap import COLMAP_PIXEL_CENTRE, colmap_text, is_colmap, parse_colmap
 from .entries import Section, load_entries, read_text
 from .gyroflow import gyroflow_text, parse_gyroflow
@@ -56,6 +57,7 @@ _READERS = (
     _Reader("gyroflow profile", lambda file: "fisheye_params" in file, parse_gyroflow),
     _Reader("kalibr camchain", kalibr_cameras, parse_kalibr),
     _Reader("OpenCV or ROS (camera_matrix)", has_camera_matrix, parse_opencv),
+    _Reader("camodocal (model_type)", lambda file: "model_type" in file, parse_camodocal),
     _Reader("fisheye-calib-adapter", lambda file: "parameter" in file, parse_adapter),
     _Reader("fisheyerec (model, fx)", lambda file: "model" in file or "fx" in file, parse_house),
 )
