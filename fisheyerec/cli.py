@@ -14,7 +14,7 @@ import typer
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
 
-    from .cameras import FisheyeCamera, PinholeCamera
+    from .cameras import Camera, FisheyeCamera, PinholeCamera
     from .rectifier import PhotoEstimate, Rectifier
     from .training.train import TrainingOptions
 
@@ -136,6 +136,48 @@ def estimate(
         typer.echo(_json_line(image, found) if json else f"{image}: {_describe(found)}")
 
     _for_each("estimate", images, estimate_one)
+
+
+@app.command()
+def convert(
+    camera: Annotated[
+        Path,
+        typer.Argument(
+            help="Lens file: of fisheyerec, OpenCV, ROS, kalibr, COLMAP, gyroflow, OCamCalib or camodocal.",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Lens file to write.")],
+    format: Annotated[
+        str, typer.Option(help="fisheyerec (.json, .yaml), opencv, kalibr, colmap (.txt), gyroflow (.json) or ros.")
+    ] = "fisheyerec",
+    size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT of the pictures, where the file does not say.")] = None,
+    max_fit_error_px: Annotated[
+        float, typer.Option(help="The largest error, in pixels, that a lens of another model may be fitted with.")
+    ] = 1.0,
+) -> None:
+    """Convert a lens file into another format, and a lens of another model into a Kannala-Brandt camera.
+
+    Brown-Conrady, unified, extended unified, double sphere, division, field of view, thin prism and OCam lenses are
+    fitted over the rays that the picture's pixels see; the error of the fit is printed.
+    """
+    from .camera_files import read_camera_file
+    from .cameras import FisheyeCamera, load_camera
+
+    try:
+        if output.exists() and output.samefile(camera):
+            raise ValueError(f"expected an output other than the lens file itself, got {output}")
+        image_size = _parse_size(size)
+        read = read_camera_file(camera, image_size=image_size)
+        converted = load_camera(camera, image_size=image_size, max_fit_error_px=max_fit_error_px)
+        converted.save(output, format=format)
+    except (ValueError, OSError) as error:
+        raise _fail("convert", error) from error
+    height, width = converted.image_size
+    fitted = ""
+    if isinstance(converted, FisheyeCamera) and converted.fit_error_px is not None:
+        fitted = f"; fitted to {read.model}: {converted.fit_rms_px:.2g} px RMS, {converted.fit_error_px:.2g} px at most"
+    typer.echo(f"{output}: {converted.model} {width}x{height}, {_parameters(converted)}{fitted}")
 
 
 @app.command()
@@ -415,12 +457,15 @@ def _check_save_camera(images: list[Path], save_camera: Path | None) -> None:
 def _describe(estimate: PhotoEstimate) -> str:
     if not estimate.distorted:
         return f"no fisheye distortion found, lines bend by {estimate.straightness_before:.2f} %"
-    names = zip(estimate.camera.parameter_names, estimate.camera.params, strict=True)
     return (
-        ", ".join(f"{name} {value:.6g}" for name, value in names)
-        + f", confidence {estimate.confidence:.2f}, lines bend by {estimate.straightness_before:.2f} % before and "
-        f"{estimate.straightness_after:.2f} % after{'' if estimate.refined else ', not refined'}"
+        f"{_parameters(estimate.camera)}, confidence {estimate.confidence:.2f}, lines bend by "
+        f"{estimate.straightness_before:.2f} % before and {estimate.straightness_after:.2f} % after"
+        f"{'' if estimate.refined else ', not refined'}"
     )
+
+
+def _parameters(camera: Camera) -> str:
+    return ", ".join(f"{name} {value:.6g}" for name, value in zip(camera.parameter_names, camera.params, strict=True))
 
 
 def _json_line(image: Path, estimate: PhotoEstimate) -> str:
