@@ -258,6 +258,7 @@ def evaluate(
     """Judge methods that rectify a single picture by a folder of pairs, and print a table."""
     from .training import reports
     from .training.evaluate import evaluate_methods, load_methods
+    from .training.records import write_records
 
     try:
         methods = load_methods(name.strip() for name in method.split(",") if name.strip())
@@ -267,7 +268,7 @@ def evaluate(
         if json is not None:
             reports.write_json(json, evaluation)
         if csv is not None:
-            reports.write_csv(csv, evaluation)
+            write_records(csv, evaluation.results)
         if sheet is not None and evaluation.results:
             reports.write_sheet(sheet, pairs, evaluation)
     except (ValueError, OSError) as error:
