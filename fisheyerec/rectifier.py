@@ -50,8 +50,8 @@ class PhotoEstimate:
     """For the photo's own pixels, upright; float64 (8,). One without distortion where `distorted` is False."""
     confidence: float
     """exp(-d / 2) in (0, 1], d being the expected error in pixels of a picture of 256x256: the RMS distance, over the
-    covariance of the lens, between where rectified pixels are looked for. The covariance is the network's, narrowed by
-    the lines that the refinement found."""
+    covariance of the lens, between where rectified pixels are looked for, apart from a shift and a scale of the whole
+    picture, which bend nothing. The covariance is the network's, narrowed by the lines that the refinement found."""
     distorted: bool
     """Whether the photo has a fisheye distortion worth undoing: `camera` has one and lines do not contradict it."""
     straightness_before: float
@@ -357,7 +357,8 @@ def _straight_camera(image_size: tuple[int, int]) -> FisheyeCamera:
 def _expected_error_px(chart: np.ndarray, covariance: np.ndarray) -> float:
     """RMS distance between where lenses of this distribution look for the same pixel of the edge-matched view.
 
-    Taken over the 16 sigma points of the distribution, on a grid over a picture of 256x256.
+    Taken over the 16 sigma points of the distribution, on a grid over a picture of 256x256, after the shift and the
+    scale that bring each closest to the mean: a principal point that is off by some pixels does little else.
     """
     size = (_JUDGED_SIDE, _JUDGED_SIDE)
     values, axes = np.linalg.eigh(covariance)
@@ -368,4 +369,7 @@ def _expected_error_px(chart: np.ndarray, covariance: np.ndarray) -> float:
     across = torch.linspace(0, _JUDGED_SIDE - 1, 9, dtype=torch.float64)
     grid = torch.cartesian_prod(across, across).expand(len(charts), -1, -1)
     points, _ = cameras.project(view.unproject(grid)[0])
-    return float((points[1:] - points[0]).square().sum(-1).nanmean().sqrt())
+    centred = points - points.nanmean(1, keepdim=True)
+    mean, off = centred[0], centred[1:] - centred[0]
+    scale = (off * mean).nansum((1, 2)) / mean.square().nansum()
+    return float((off - scale[:, None, None] * mean).square().sum(-1).nanmean().sqrt())

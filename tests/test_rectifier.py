@@ -306,10 +306,28 @@ def test_confidence_falls_with_the_error_it_expects():
     errors = [module._expected_error_px(chart, sigma**2 * np.eye(SIZE)) for sigma in (0.0, 0.001, 0.01, 0.1)]
     assert errors[0] == 0
     assert (np.diff(errors) > 0).all()
-    # A principal point that is uncertain by 0.01 of half a side, 1.28 px, either way; the view follows a little.
+
+
+def test_an_uncertain_principal_point_hardly_counts():
+    """1.28 px either way shift the picture by 1.8 px RMS and bend it by a tenth of that."""
     only = np.zeros((SIZE, SIZE))
     only[5, 5] = only[6, 6] = 0.01**2
-    np.testing.assert_allclose(module._expected_error_px(chart, only), 1.28 * 2**0.5, rtol=0.2)
+    assert 0 < module._expected_error_px(Told.chart.numpy(), only) < 0.3 * 1.28 * 2**0.5
+
+
+def test_the_expected_error_is_that_of_random_lenses():
+    chart, covariance = Told.chart.numpy(), np.diag([6e-3, 6e-3, 3e-3, 9e-3, 0.03, 6e-3, 6e-3, 1e-3]) ** 2
+    size = (256, 256)
+    charts = np.random.default_rng(0).multivariate_normal(chart, covariance, 600)
+    cameras = fr.FisheyeCamera(camera_from_chart(torch.from_numpy(np.stack([chart, *charts])), size), size)
+    view = fr.PinholeCamera.edge_matched(cameras, size)
+    grid = torch.cartesian_prod(*[torch.linspace(0, 255, 9, dtype=torch.float64)] * 2).expand(601, -1, -1)
+    mean, *others = cameras.project(view.unproject(grid)[0])[0].numpy()
+    # x' = s x + a, y' = s y + b
+    one, zero = np.ones(len(mean)), np.zeros(len(mean))
+    columns = np.stack([np.concatenate(c) for c in (mean.T, (one, zero), (zero, one))], -1)
+    squares = [np.linalg.lstsq(columns, np.concatenate(other.T))[1][0] / len(mean) for other in others]
+    np.testing.assert_allclose(module._expected_error_px(chart, covariance), np.mean(squares) ** 0.5, rtol=0.15)
 
 
 def test_a_photo_without_lines_still_has_an_answer(told):
