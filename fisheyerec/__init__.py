@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .network import FishEyeRecNet
     from .rectification import DistortionRectification, Rectification, distort, rectify, resample
     from .rectifier import PhotoEstimate, PhotoRectification, Rectifier
+    from .views import view_for
 
 _HOME = {
     "FisheyeCamera": "cameras",
@@ -29,6 +30,7 @@ _HOME = {
     "rectify": "rectification",
     "resample": "rectification",
     "backend_for": "_ops",
+    "view_for": "views",
 }
 
 __all__ = [
@@ -44,6 +46,7 @@ __all__ = [
     "distort",
     "rectify",
     "resample",
+    "view_for",
 ]
 
 

@@ -56,6 +56,10 @@ def rectify(
             help="Lens file of the camera that took them (JSON, YAML, OpenCV, kalibr...); estimated if left out."
         ),
     ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option(help="edge-matched, keep-all, valid-only or valid-rectangle (the largest, off centre)."),
+    ] = None,
     fov_deg: Annotated[float | None, typer.Option(help="Field of view across the result's width, below 180.")] = None,
     focal: Annotated[float | None, typer.Option(help="Focal length of the result in pixels.")] = None,
     balance: Annotated[
@@ -70,12 +74,13 @@ def rectify(
     """Make fisheye pictures straight: with the lens file of a calibrated camera, or each by what it shows itself.
 
     Without --camera, a picture without fisheye distortion is written as it is.
-    Without --fov-deg, --focal or --balance the view is edge-matched: the nearest edge of the fisheye picture stays at
-    the edge of the result, so nothing in it is empty.
+    Without --view, --fov-deg, --focal or --balance the view is edge-matched: the nearest edge of the fisheye picture
+    stays at the edge of the result, so nothing in it is empty.
     """
     try:
-        if sum(option is not None for option in (fov_deg, focal, balance)) > 1:
-            raise ValueError("expected one of --fov-deg, --focal and --balance, got several")
+        if (view, fov_deg, focal, balance).count(None) < 3:
+            raise ValueError("expected one of --view, --fov-deg, --focal and --balance, got several")
+        mode = view.replace("-", "_") if view is not None else None
         options = {"fov_deg": fov_deg, "focal": focal, "balance": balance}
         view_size = _parse_size(size)
         _check_save_camera(images, save_camera)
@@ -88,6 +93,7 @@ def rectify(
                     to,
                     save_camera,
                     rectifier,
+                    view=mode,
                     size=view_size,
                     interpolation=interpolation,
                     refine=refine,
@@ -97,10 +103,10 @@ def rectify(
             if save_camera is not None or weights is not None:
                 raise ValueError("expected --camera, or --save-camera and --weights to estimate one, got both")
             fisheye = _load_fisheye(camera)
-            view = _view(fisheye, view_size or fisheye.image_size, **options)
+            chosen = _view(fisheye, view_size or fisheye.image_size, mode, **options)
 
             def straighten(image: Path, to: Path) -> None:
-                _rectify_file(image, fisheye, view, to, interpolation)
+                _rectify_file(image, fisheye, chosen, to, interpolation)
 
         to_folder = len(images) > 1 or output.is_dir()
         if to_folder:
@@ -448,10 +454,10 @@ def _load_fisheye(path: Path) -> FisheyeCamera:
     return FisheyeCamera.load(path)
 
 
-def _view(fisheye: FisheyeCamera, size: tuple[int, int], **options: float | None) -> PinholeCamera:
-    from . import views
+def _view(fisheye: FisheyeCamera, size: tuple[int, int], mode: str | None, **options: float | None) -> PinholeCamera:
+    from .views import view_for
 
-    return views.choose(fisheye, size, **options)
+    return view_for(fisheye, size, mode, **options)
 
 
 def _parse_size(size: str | None) -> tuple[int, int] | None:

@@ -270,7 +270,7 @@ def test_options_that_contradict_are_refused(told, ramp):
     view = fr.PinholeCamera.from_fov(90, (30, 40))
     with pytest.raises(ValueError, match="view alone"):
         told(ramp, view=view, fov_deg=90)
-    with pytest.raises(ValueError, match="one of fov_deg, focal and balance"):
+    with pytest.raises(ValueError, match="one of mode, fov_deg, focal and balance"):
         told(ramp, focal=90, fov_deg=90, refine=False)
 
 
@@ -417,7 +417,10 @@ COMMAND_BAD = {
     ),
     "camera of several": (["estimate", "room.png", "straight.png", "-o", "a.json"], r"with one picture, got 2"),
     "camera suffix": (["estimate", "room.png", "-o", "a.txt", "--weights", "{weights}"], r"suffix \.json or \.yaml"),
-    "two views": (["rectify", "room.png", "-o", "out.png", "--focal", "3", "--fov-deg", "3"], r"one of --fov-deg"),
+    "two views": (
+        ["rectify", "room.png", "-o", "out.png", "--focal", "3", "--fov-deg", "3"],
+        r"one of --view, --fov-deg",
+    ),
 }
 
 
