@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .network import FishEyeRecNet
     from .rectification import DistortionRectification, Rectification, distort, rectify, resample
     from .rectifier import PhotoEstimate, PhotoRectification, Rectifier
-    from .views import view_for
+    from .views import view_for, view_rotation
 
 _HOME = {
     "FisheyeCamera": "cameras",
@@ -31,6 +31,7 @@ _HOME = {
     "resample": "rectification",
     "backend_for": "_ops",
     "view_for": "views",
+    "view_rotation": "views",
 }
 
 __all__ = [
@@ -47,6 +48,7 @@ __all__ = [
     "rectify",
     "resample",
     "view_for",
+    "view_rotation",
 ]
 
 

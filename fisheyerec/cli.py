@@ -65,6 +65,9 @@ def rectify(
     balance: Annotated[
         float | None, typer.Option(help="0: only valid pixels; 1: keep the whole picture; or between.")
     ] = None,
+    pan: Annotated[float, typer.Option(help="Turn the view to the right, in degrees.")] = 0,
+    tilt: Annotated[float, typer.Option(help="Turn the view upwards, in degrees.")] = 0,
+    roll: Annotated[float, typer.Option(help="Turn the view clockwise, in degrees.")] = 0,
     size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT of the result; the picture's own if left out.")] = None,
     interpolation: Annotated[str, typer.Option(help="bilinear, or nearest for label maps.")] = "bilinear",
     refine: Annotated[bool, typer.Option(help=_REFINE_HELP)] = True,
@@ -83,6 +86,7 @@ def rectify(
         mode = view.replace("-", "_") if view is not None else None
         options = {"fov_deg": fov_deg, "focal": focal, "balance": balance}
         view_size = _parse_size(size)
+        rotation = _rotation(pan, tilt, roll)
         _check_save_camera(images, save_camera)
         if camera is None:
             rectifier = _load_rectifier(weights)
@@ -95,6 +99,7 @@ def rectify(
                     rectifier,
                     view=mode,
                     size=view_size,
+                    rotation=rotation,
                     interpolation=interpolation,
                     refine=refine,
                     **options,
@@ -106,7 +111,7 @@ def rectify(
             chosen = _view(fisheye, view_size or fisheye.image_size, mode, **options)
 
             def straighten(image: Path, to: Path) -> None:
-                _rectify_file(image, fisheye, chosen, to, interpolation)
+                _rectify_file(image, fisheye, chosen, to, rotation=rotation, interpolation=interpolation)
 
         to_folder = len(images) > 1 or output.is_dir()
         if to_folder:
@@ -347,7 +352,7 @@ def train(
         raise typer.Exit(130)
 
 
-def _rectify_file(image: Path, fisheye: FisheyeCamera, view: PinholeCamera, output: Path, interpolation: str) -> None:
+def _rectify_file(image: Path, fisheye: FisheyeCamera, view: PinholeCamera, output: Path, **options: Any) -> None:
     from . import numpy
     from .pictures import Picture, read_picture, write_picture
 
@@ -364,7 +369,7 @@ def _rectify_file(image: Path, fisheye: FisheyeCamera, view: PinholeCamera, outp
             )
         fisheye = fisheye.resize((height, width))
     start = time.perf_counter()
-    result = numpy.rectify(picture.pixels, fisheye, view, interpolation=interpolation)
+    result = numpy.rectify(picture.pixels, fisheye, view, **options)
     milliseconds = (time.perf_counter() - start) * 1e3
     write_picture(output, Picture(result.image, picture.metadata))
     height, width = view.image_size
@@ -458,6 +463,13 @@ def _view(fisheye: FisheyeCamera, size: tuple[int, int], mode: str | None, **opt
     from .views import view_for
 
     return view_for(fisheye, size, mode, **options)
+
+
+def _rotation(pan_deg: float, tilt_deg: float, roll_deg: float) -> Any:
+    """The view's rotation; None where it is not turned."""
+    from .views import view_rotation
+
+    return view_rotation(pan_deg, tilt_deg, roll_deg) if (pan_deg, tilt_deg, roll_deg) != (0, 0, 0) else None
 
 
 def _parse_size(size: str | None) -> tuple[int, int] | None:

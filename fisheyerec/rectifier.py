@@ -123,6 +123,7 @@ class Rectifier:
         focal: float | None = None,
         balance: float | None = None,
         size: tuple[int, int] | None = None,
+        rotation: Any = None,
         interpolation: str = "bilinear",
         refine: bool = True,
     ) -> PhotoRectification:
@@ -137,6 +138,7 @@ class Rectifier:
             focal: focal length of the result in pixels.
             balance: from 0, only valid pixels, to 1, the whole photo.
             size: (height, width) of the result; None for the photo's.
+            rotation: (3, 3) camera_from_view, which turns the view, as `view_rotation` gives it; None for none.
             interpolation: "bilinear" or "nearest".
             refine: whether to refine the network's camera on the photo's lines.
 
@@ -160,7 +162,7 @@ class Rectifier:
             image, valid = opened.pixels, np.ones(opened.pixels.shape[:2], dtype=bool)
             view = PinholeCamera.edge_matched(estimate.camera, opened.pixels.shape[:2])
         else:
-            image, valid = _rectify(opened.pixels, estimate.camera, view, interpolation)
+            image, valid = _rectify(opened.pixels, estimate.camera, view, rotation, interpolation)
         return PhotoRectification(
             **vars(estimate), image=opened.restore(image), valid=opened.restore_mask(valid), view=view
         )
@@ -265,12 +267,12 @@ def _checked(pixels: np.ndarray) -> np.ndarray:
 
 
 def _rectify(
-    pixels: np.ndarray, camera: FisheyeCamera, view: Camera, interpolation: str
+    pixels: np.ndarray, camera: FisheyeCamera, view: Camera, rotation: Any, interpolation: str
 ) -> tuple[np.ndarray, np.ndarray]:
     if pixels.dtype != np.uint16:
-        return door.rectify(pixels, camera, view, interpolation=interpolation)
+        return door.rectify(pixels, camera, view, rotation=rotation, interpolation=interpolation)
     # The kernels interpolate no integers but bytes; float32 holds 16 bits exactly.
-    image, valid = door.rectify(pixels.astype(np.float32), camera, view, interpolation=interpolation)
+    image, valid = door.rectify(pixels.astype(np.float32), camera, view, rotation=rotation, interpolation=interpolation)
     return np.rint(image).astype(np.uint16), valid
 
 

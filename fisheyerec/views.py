@@ -1,6 +1,6 @@
 """Choosing a perspective view of a fisheye camera: how much of the picture to keep, how much emptiness to accept.
 
-All of it happens in the plane Z = 1 of the camera's frame, where a perspective view is a rectangle, and the picture a
+The choice happens in the plane Z = 1 of the camera's frame, where a perspective view is a rectangle, and the picture a
 figure without holes: a rectangle whose border shows the picture shows nothing else inside.
 """
 
@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from . import pixel
-from .cameras import FisheyeCamera, PinholeCamera
+from .cameras import FisheyeCamera, PinholeCamera, is_tensor
 
 # The widest half angle that `keep_all` shows along an edge: a perspective view of 150 degrees spends nine tenths of
 # its pixels on the outer third, and one of 180 degrees would be infinitely large.
@@ -136,6 +137,38 @@ def balanced(camera: FisheyeCamera, balance: float, image_size: tuple[int, int])
     narrow = _inscribe(camera, wide, centre)
     focal = narrow.params[0] ** (1 - balance) * wide.params[0] ** balance
     return _window(PinholeCamera.from_focal(float(focal), image_size), centre)
+
+
+def view_rotation(pan_deg: Any = 0.0, tilt_deg: Any = 0.0, roll_deg: Any = 0.0) -> Any:
+    """Give the rotation that turns a view, camera_from_view, as `rectify` takes it: a virtual pan-tilt-roll head.
+
+    R = R_y(pan) R_x(tilt) R_z(roll): the camera's vertical is the axis of pan, whatever the tilt.
+
+    Args:
+        pan_deg: to the right, in degrees; a number, or an array or tensor (...).
+        tilt_deg: upwards.
+        roll_deg: clockwise as seen from behind the camera, so that the picture turns anticlockwise.
+
+    Returns:
+        (..., 3, 3), a tensor where an angle is one, then differentiable in the angles; else a float64 array.
+    """
+    angles: list[Any] = [pan_deg, tilt_deg, roll_deg]
+    xp: Any = np
+    if any(map(is_tensor, angles)):
+        import torch as xp
+
+        like = next(angle for angle in angles if is_tensor(angle))
+        angles = [xp.as_tensor(angle, dtype=like.dtype, device=like.device) for angle in angles]
+    # The axes are named by where they lie in the cycle x, y, z: a turn about one takes the next towards the one after.
+    turns = []
+    for angle, axis in zip(angles, (1, 0, 2), strict=True):
+        cos, sin = xp.cos(xp.deg2rad(angle)), xp.sin(xp.deg2rad(angle))
+        one, zero = xp.ones_like(cos), xp.zeros_like(cos)
+        cycled = [one, zero, zero, zero, cos, -sin, zero, sin, cos]
+        entries = [cycled[(i - axis) % 3 * 3 + (j - axis) % 3] for i in range(3) for j in range(3)]
+        turns.append(xp.stack(entries, -1).reshape(*cos.shape, 3, 3))
+    pan, tilt, roll = turns
+    return pan @ tilt @ roll
 
 
 MODES: dict[str, Callable[[FisheyeCamera, tuple[int, int]], PinholeCamera]] = {

@@ -38,6 +38,17 @@ def small(tmp_path):
     return tmp_path / "small.png", tmp_path / "small.json"
 
 
+def test_pan_tilt_and_roll_turn_the_view(small, tmp_path):
+    picture, camera_file = small
+    turn = ["--pan", "20", "--tilt", "-10", "--roll", "5"]
+    result = rectify(picture, "-o", tmp_path / "out.png", "--fov-deg", "70", *turn, camera=camera_file)
+    assert (result.returncode, result.stderr) == (0, "")
+    camera, view = fr.FisheyeCamera.load(camera_file), fr.PinholeCamera.from_fov(70, (48, 64))
+    pixels = read_picture(picture).pixels
+    expected = fr.numpy.rectify(pixels, camera, view, rotation=fr.view_rotation(20, -10, 5)).image
+    np.testing.assert_array_equal(read_picture(tmp_path / "out.png").pixels, expected)
+
+
 @pytest.mark.parametrize(
     ("options", "view"),
     [

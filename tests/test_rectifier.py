@@ -274,6 +274,16 @@ def test_options_that_contradict_are_refused(told, ramp):
         told(ramp, focal=90, fov_deg=90, refine=False)
 
 
+@pytest.mark.parametrize("rotation", [None, fr.view_rotation(10, 5, 20)], ids=["straight", "turned"])
+def test_a_mode_of_view_for_and_a_rotation_are_taken(told, rotation):
+    photo = np.random.default_rng(3).integers(0, 256, (60, 80), np.uint8)
+    result = told(photo, view="keep_all", size=(30, 40), rotation=rotation, refine=False)
+    view = fr.view_for(result.camera, (30, 40), "keep_all")
+    np.testing.assert_array_equal(result.view.params, view.params)
+    expected = fr.numpy.rectify(photo, result.camera, view, rotation=rotation).image
+    np.testing.assert_array_equal(result.image, expected)
+
+
 # --- What is known of the result ------------------------------------------------------------------
 
 

@@ -3,8 +3,10 @@
 import math
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+import torch
 
 import fisheyerec as fr
 from fisheyerec import views
@@ -157,6 +159,43 @@ def test_a_picture_beyond_any_perspective_view_is_refused():
     camera = fr.FisheyeCamera([100.0, 100, -300, 50, 0, 0, 0, 0], (100, 100))  # from 170 degrees off the axis
     with pytest.raises(ValueError, match="shows something within 75 degrees"):
         fr.view_for(camera, (100, 100), "valid_only")
+
+
+# --- Rotation -------------------------------------------------------------------------------------
+
+
+def test_angles_turn_as_they_are_said_to():
+    right, _, forward = np.eye(3)
+    quarter = math.sqrt(0.5)
+    np.testing.assert_allclose(fr.view_rotation(pan_deg=45) @ forward, [quarter, 0, quarter], atol=1e-15)
+    np.testing.assert_allclose(fr.view_rotation(tilt_deg=45) @ forward, [0, -quarter, quarter], atol=1e-15)
+    np.testing.assert_allclose(fr.view_rotation(roll_deg=45) @ right, [quarter, quarter, 0], atol=1e-15)
+    np.testing.assert_array_equal(fr.view_rotation(), np.eye(3))
+    # Pan is about the camera's vertical, whatever the tilt: the horizon of the view stays level.
+    assert (fr.view_rotation(70, 30) @ right)[1] == 0
+
+
+def test_rotations_are_made_of_three_turns():
+    """Against Rodrigues' formula."""
+    pan, tilt, roll = (cv2.Rodrigues(np.radians(v))[0] for v in ([0, 33.0, 0], [-12.0, 0, 0], [0, 0, 155.0]))
+    np.testing.assert_allclose(fr.view_rotation(33, -12, 155), pan @ tilt @ roll, atol=1e-15)
+
+
+def test_rotations_of_many_angles_at_once():
+    pan = np.array([[0.0, 10, 20], [30, 40, 50]])
+    many = fr.view_rotation(pan, tilt_deg=7)
+    assert many.shape == (2, 3, 3, 3)
+    np.testing.assert_array_equal(many[1, 2], fr.view_rotation(50, 7))
+    tensor = fr.view_rotation(torch.from_numpy(pan), tilt_deg=7)
+    np.testing.assert_allclose(tensor.numpy(), many, atol=1e-15)
+
+
+def test_a_picture_is_differentiable_in_the_angles(picture):
+    camera = fr.FisheyeCamera(torch.tensor([30.0, 30, 19.5, 14.5, 0.05, 0, 0, 0], dtype=torch.float64), (30, 40))
+    image, view = picture(1, 1, 30, 40), fr.PinholeCamera.from_fov(60, (5, 6))
+    angles = torch.tensor([12.3, -8.1, 21.7], dtype=torch.float64, requires_grad=True)
+    rectified = lambda angles: fr.rectify(image, camera, view, rotation=fr.view_rotation(*angles)).image  # noqa: E731
+    assert torch.autograd.gradcheck(rectified, (angles,), eps=1e-4, atol=1e-6)
 
 
 # --- Options --------------------------------------------------------------------------------------
