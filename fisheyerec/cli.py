@@ -56,11 +56,18 @@ def rectify(
             help="Lens file of the camera that took them (JSON, YAML, OpenCV, kalibr...); estimated if left out."
         ),
     ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option(help="edge-matched, keep-all, valid-only or valid-rectangle (the largest, off centre)."),
+    ] = None,
     fov_deg: Annotated[float | None, typer.Option(help="Field of view across the result's width, below 180.")] = None,
     focal: Annotated[float | None, typer.Option(help="Focal length of the result in pixels.")] = None,
     balance: Annotated[
         float | None, typer.Option(help="0: only valid pixels; 1: keep the whole picture; or between.")
     ] = None,
+    pan: Annotated[float, typer.Option(help="Turn the view to the right, in degrees.")] = 0,
+    tilt: Annotated[float, typer.Option(help="Turn the view upwards, in degrees.")] = 0,
+    roll: Annotated[float, typer.Option(help="Turn the view clockwise, in degrees.")] = 0,
     size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT of the result; the picture's own if left out.")] = None,
     interpolation: Annotated[str, typer.Option(help="bilinear, or nearest for label maps.")] = "bilinear",
     refine: Annotated[bool, typer.Option(help=_REFINE_HELP)] = True,
@@ -70,14 +77,16 @@ def rectify(
     """Make fisheye pictures straight: with the lens file of a calibrated camera, or each by what it shows itself.
 
     Without --camera, a picture without fisheye distortion is written as it is.
-    Without --fov-deg, --focal or --balance the view is edge-matched: the nearest edge of the fisheye picture stays at
-    the edge of the result, so nothing in it is empty.
+    Without --view, --fov-deg, --focal or --balance the view is edge-matched: the nearest edge of the fisheye picture
+    stays at the edge of the result, so nothing in it is empty.
     """
     try:
-        if sum(option is not None for option in (fov_deg, focal, balance)) > 1:
-            raise ValueError("expected one of --fov-deg, --focal and --balance, got several")
+        if (view, fov_deg, focal, balance).count(None) < 3:
+            raise ValueError("expected one of --view, --fov-deg, --focal and --balance, got several")
+        mode = view.replace("-", "_") if view is not None else None
         options = {"fov_deg": fov_deg, "focal": focal, "balance": balance}
         view_size = _parse_size(size)
+        rotation = _rotation(pan, tilt, roll)
         _check_save_camera(images, save_camera)
         if camera is None:
             rectifier = _load_rectifier(weights)
@@ -88,7 +97,9 @@ def rectify(
                     to,
                     save_camera,
                     rectifier,
+                    view=mode,
                     size=view_size,
+                    rotation=rotation,
                     interpolation=interpolation,
                     refine=refine,
                     **options,
@@ -97,10 +108,10 @@ def rectify(
             if save_camera is not None or weights is not None:
                 raise ValueError("expected --camera, or --save-camera and --weights to estimate one, got both")
             fisheye = _load_fisheye(camera)
-            view = _view(fisheye, view_size or fisheye.image_size, **options)
+            chosen = _view(fisheye, view_size or fisheye.image_size, mode, **options)
 
             def straighten(image: Path, to: Path) -> None:
-                _rectify_file(image, fisheye, view, to, interpolation)
+                _rectify_file(image, fisheye, chosen, to, rotation=rotation, interpolation=interpolation)
 
         to_folder = len(images) > 1 or output.is_dir()
         if to_folder:
@@ -383,7 +394,7 @@ def train(
         raise typer.Exit(130)
 
 
-def _rectify_file(image: Path, fisheye: FisheyeCamera, view: PinholeCamera, output: Path, interpolation: str) -> None:
+def _rectify_file(image: Path, fisheye: FisheyeCamera, view: PinholeCamera, output: Path, **options: Any) -> None:
     from . import numpy
     from .pictures import Picture, read_picture, write_picture
 
@@ -400,7 +411,7 @@ def _rectify_file(image: Path, fisheye: FisheyeCamera, view: PinholeCamera, outp
             )
         fisheye = fisheye.resize((height, width))
     start = time.perf_counter()
-    result = numpy.rectify(picture.pixels, fisheye, view, interpolation=interpolation)
+    result = numpy.rectify(picture.pixels, fisheye, view, **options)
     milliseconds = (time.perf_counter() - start) * 1e3
     write_picture(output, Picture(result.image, picture.metadata))
     height, width = view.image_size
@@ -493,10 +504,17 @@ def _load_fisheye(path: Path) -> FisheyeCamera:
     return FisheyeCamera.load(path)
 
 
-def _view(fisheye: FisheyeCamera, size: tuple[int, int], **options: float | None) -> PinholeCamera:
-    from . import views
+def _view(fisheye: FisheyeCamera, size: tuple[int, int], mode: str | None, **options: float | None) -> PinholeCamera:
+    from .views import view_for
 
-    return views.choose(fisheye, size, **options)
+    return view_for(fisheye, size, mode, **options)
+
+
+def _rotation(pan_deg: float, tilt_deg: float, roll_deg: float) -> Any:
+    """The view's rotation; None where it is not turned."""
+    from .views import view_rotation
+
+    return view_rotation(pan_deg, tilt_deg, roll_deg) if (pan_deg, tilt_deg, roll_deg) != (0, 0, 0) else None
 
 
 def _parse_size(size: str | None) -> tuple[int, int] | None:

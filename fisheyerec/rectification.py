@@ -65,7 +65,8 @@ def rectify(
             B = 1 is repeated for a batch of cameras or views.
         camera: the fisheye camera, of image size (H, W); one, or one for each image.
         view: the view to make, of image size (h, w); one, or one for each image.
-        rotation: (3, 3) or (B, 3, 3), camera_from_view: turns the view's rays into the camera's frame.
+        rotation: (3, 3) or (B, 3, 3), camera_from_view: turns the view's rays into the camera's frame, as
+            `view_rotation` gives it from pan, tilt and roll.
         interpolation: "bilinear" or "nearest" (labels).
         padding: what lies outside the picture: "zeros" or "border".
 

@@ -270,8 +270,18 @@ def test_options_that_contradict_are_refused(told, ramp):
     view = fr.PinholeCamera.from_fov(90, (30, 40))
     with pytest.raises(ValueError, match="view alone"):
         told(ramp, view=view, fov_deg=90)
-    with pytest.raises(ValueError, match="one of fov_deg, focal and balance"):
+    with pytest.raises(ValueError, match="one of mode, fov_deg, focal and balance"):
         told(ramp, focal=90, fov_deg=90, refine=False)
+
+
+@pytest.mark.parametrize("rotation", [None, fr.view_rotation(10, 5, 20)], ids=["straight", "turned"])
+def test_a_mode_of_view_for_and_a_rotation_are_taken(told, rotation):
+    photo = np.random.default_rng(3).integers(0, 256, (60, 80), np.uint8)
+    result = told(photo, view="keep_all", size=(30, 40), rotation=rotation, refine=False)
+    view = fr.view_for(result.camera, (30, 40), "keep_all")
+    np.testing.assert_array_equal(result.view.params, view.params)
+    expected = fr.numpy.rectify(photo, result.camera, view, rotation=rotation).image
+    np.testing.assert_array_equal(result.image, expected)
 
 
 # --- What is known of the result ------------------------------------------------------------------
@@ -435,7 +445,10 @@ COMMAND_BAD = {
     ),
     "camera of several": (["estimate", "room.png", "straight.png", "-o", "a.json"], r"with one picture, got 2"),
     "camera suffix": (["estimate", "room.png", "-o", "a.txt", "--weights", "{weights}"], r"suffix \.json or \.yaml"),
-    "two views": (["rectify", "room.png", "-o", "out.png", "--focal", "3", "--fov-deg", "3"], r"one of --fov-deg"),
+    "two views": (
+        ["rectify", "room.png", "-o", "out.png", "--focal", "3", "--fov-deg", "3"],
+        r"one of --view, --fov-deg",
+    ),
 }
 
 
