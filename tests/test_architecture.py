@@ -16,6 +16,8 @@ PACKAGE, CSRC = ROOT / "fisheyerec", ROOT / "csrc"
 # Each module may import those before it. Compiled ones stand where their callers need them.
 ORDER = [
     "pixel",
+    "replacement",
+    "folders",
     "camera_files",
     "_numpy",
     "_C",
@@ -27,6 +29,8 @@ ORDER = [
     "numpy",
     "rectification",
     "pictures",
+    "manifest",
+    "video",
     "lens_chart",
     "lines",
     "sightlines",
@@ -35,19 +39,26 @@ ORDER = [
     "network",
     "weights",
     "rectifier",
+    "pooling",
+    "file_rectifiers",
+    "bulk",
     "baselines",
     "training",
     "cli",
 ]
 
 # Calibrated work on NumPy arrays and the command line start without torch: it may only be imported inside functions.
-WITHOUT_TORCH = ["__init__", "pixel", "camera_files", "cameras", "views", "_arguments", "numpy", "pictures", "cli"]
+WITHOUT_TORCH = [
+    *("__init__", "pixel", "camera_files", "cameras", "views", "_arguments", "numpy", "pictures"),
+    *("replacement", "folders", "manifest", "video", "file_rectifiers", "bulk", "cli"),
+]
 
 # Few have these as their users.
 ONLY_USED_BY = {
     "_C": {"_ops"},
     "_ops": {"rectification"},
     "_numpy": {"cameras", "numpy"},
+    "video": {"file_rectifiers", "cli"},
     "baselines": {"training", "cli"},
     "training": {"baselines", "cli"},
     "cli": set(),

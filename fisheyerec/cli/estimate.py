@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .estimating import REFINE_HELP, SAVE_CAMERA_HELP, WEIGHTS_HELP, check_save_camera, describe, load_rectifier
+from .estimating import REFINE_HELP, SAVE_CAMERA_HELP, WEIGHTS_HELP, check_save_camera, load_rectifier
 from .messages import fail, for_each
 
 if TYPE_CHECKING:
@@ -25,6 +25,8 @@ def estimate(
 
     Straightness is how much lines bend, in % of their length, in the picture and under the camera.
     """
+    from ..file_rectifiers import describe
+
     try:
         check_save_camera(images, save_camera)
         rectifier = load_rectifier(weights)
@@ -44,12 +46,11 @@ def _json_line(image: Path, estimate: PhotoEstimate) -> str:
     import json
     import math
 
-    camera = estimate.camera
-    height, width = camera.image_size
-    parameters = dict(zip(camera.parameter_names, map(float, camera.params), strict=True))
+    from ..manifest import camera_entry
+
     values = {
         "image": str(image),
-        "camera": {"model": camera.model, "width": width, "height": height, **parameters},
+        "camera": camera_entry(estimate.camera),
         "confidence": estimate.confidence,
         "distorted": estimate.distorted,
         "straightness_before": estimate.straightness_before,

@@ -8,12 +8,16 @@ from pathlib import Path
 import typer
 
 
+def say(command: str, message: str) -> None:
+    """Print a line to standard error."""
+    typer.echo(f"fisheyerec {command}: {message}", err=True)
+
+
 def fail(command: str, error: Exception) -> typer.Exit:
     """Print one line that says what went wrong; the exit to raise."""
-    message = " ".join(str(error).split())
-    if isinstance(error, OSError) and error.filename is not None:
-        message = f"{error.filename}: {error.strerror}"
-    typer.echo(f"fisheyerec {command}: {message}", err=True)
+    from ..bulk import one_line
+
+    say(command, one_line(error))
     return typer.Exit(2)
 
 
@@ -29,5 +33,5 @@ def for_each(command: str, images: list[Path], work: Callable[[Path], None]) -> 
             if len(images) == 1:
                 raise failed from error
     if failures:
-        typer.echo(f"fisheyerec {command}: {failures} of {len(images)} pictures failed", err=True)
+        say(command, f"{failures} of {len(images)} pictures failed")
         raise typer.Exit(1)

@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import os
 import re
-import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .estimating import REFINE_HELP, SAVE_CAMERA_HELP, WEIGHTS_HELP, check_save_camera, describe, load_rectifier
-from .messages import fail, for_each
+from .estimating import REFINE_HELP, SAVE_CAMERA_HELP, WEIGHTS_HELP, check_save_camera
+from .messages import fail, say
+from .progress import file_progress
 
 if TYPE_CHECKING:
-    from ..cameras import FisheyeCamera, PinholeCamera
-    from ..rectifier import Rectifier
+    from ..file_rectifiers import BlindRectifier, CalibratedRectifier, FileRectifier, ViewOptions
+    from ..folders import Plan, Task
+    from ..manifest import Manifest
 
 
 def rectify(
-    images: Annotated[list[Path], typer.Argument(help="Fisheye pictures.", show_default=False)],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write; for several images, a folder.")],
+    inputs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="INPUT",
+            help="Fisheye pictures and videos, folders of them, or patterns in quotes such as 'days/**/*.jpg'.",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="File to write; for several files, a folder and patterns, a folder.")
+    ],
     camera: Annotated[
         Path | None,
         typer.Option(
@@ -36,103 +50,162 @@ def rectify(
     refine: Annotated[bool, typer.Option(help=REFINE_HELP)] = True,
     save_camera: Annotated[Path | None, typer.Option(help=SAVE_CAMERA_HELP)] = None,
     weights: Annotated[Path | None, typer.Option(help=WEIGHTS_HELP)] = None,
+    format: Annotated[
+        str | None, typer.Option(help="Format of what is written to a folder: jpg, png, tif, mp4...; as it was.")
+    ] = None,
+    quality: Annotated[
+        int | None, typer.Option(min=1, max=100, help="Of JPEG, WebP and AVIF (95 if left out) and of video (60).")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Files at a time; one a core if left out.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Leave out what manifest.jsonl in the folder says is done; redo what changed."),
+    ] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and write nothing.")] = False,
 ) -> None:
-    """Make fisheye pictures straight: with the lens file of a calibrated camera, or each by what it shows itself.
+    """Make fisheye pictures and videos straight: with the lens file of a calibrated camera, or by what each shows.
 
-    Without --camera, a picture without fisheye distortion is written as it is.
+    Without --camera, what has no fisheye distortion is written as it is.
     Without --fov-deg, --focal or --balance the view is edge-matched: the nearest edge of the fisheye picture stays at
     the edge of the result, so nothing in it is empty.
+    A folder is searched to the bottom and made again below the output, with a record of what was done and with which
+    camera, manifest.jsonl. A file that fails does not stop the rest: the exit status is 1 then.
     """
+    from .._arguments import check_options
+    from ..file_rectifiers import SUFFIXES, ViewOptions
+    from ..folders import plan
+    from ..manifest import Manifest
+
     try:
         if sum(option is not None for option in (fov_deg, focal, balance)) > 1:
             raise ValueError("expected one of --fov-deg, --focal and --balance, got several")
-        options = {"fov_deg": fov_deg, "focal": focal, "balance": balance}
-        view_size = _parse_size(size)
-        check_save_camera(images, save_camera)
+        check_options("rectify", interpolation, "zeros")
+        options = ViewOptions(fov_deg, focal, balance, _parse_size(size))
+        planned = plan(inputs, output, suffixes=SUFFIXES, target_suffix=_target_suffix(format))
+        check_save_camera([task.source for task in planned.tasks], save_camera)
+        todo, manifest = planned.tasks, None
+        count = jobs or min(os.cpu_count() or 1, len(todo))
         if camera is None:
-            rectifier = load_rectifier(weights)
-
-            def straighten(image: Path, to: Path) -> None:
-                _rectify_photo(
-                    image,
-                    to,
-                    save_camera,
-                    rectifier,
-                    size=view_size,
-                    interpolation=interpolation,
-                    refine=refine,
-                    **options,
-                )
+            rectifier: FileRectifier = _blind(options, interpolation, quality, weights, refine)
         else:
             if save_camera is not None or weights is not None:
                 raise ValueError("expected --camera, or --save-camera and --weights to estimate one, got both")
-            fisheye = _load_fisheye(camera)
-            view = _view(fisheye, view_size or fisheye.image_size, **options)
-
-            def straighten(image: Path, to: Path) -> None:
-                _rectify_file(image, fisheye, view, to, interpolation)
-
-        to_folder = len(images) > 1 or output.is_dir()
-        if to_folder:
-            output.mkdir(parents=True, exist_ok=True)
-    except (ValueError, OSError) as error:
+            rectifier = _calibrated(camera, options, interpolation, quality, count)
+        if planned.folder is not None:
+            manifest = Manifest(planned.folder)
+        elif resume or format is not None:
+            raise ValueError("expected a folder as --output with --resume and --format, got a file")
+        if resume and manifest is not None:
+            settings = rectifier.settings()
+            todo = [task for task in todo if not manifest.is_done(task, settings)]
+        _check_files(todo, may_replace=overwrite or resume)
+        if dry_run:
+            for task in todo:
+                typer.echo(f"{task.source} -> {task.target}")
+            return
+        if planned.folder is not None:
+            for folder in [planned.folder, *sorted({task.target.parent for task in todo})]:
+                folder.mkdir(parents=True, exist_ok=True)
+    except (ValueError, OSError, ImportError) as error:
         raise fail("rectify", error) from error
-
-    for_each("rectify", images, lambda image: straighten(image, output / image.name if to_folder else output))
-
-
-def _rectify_file(image: Path, fisheye: FisheyeCamera, view: PinholeCamera, output: Path, interpolation: str) -> None:
-    from .. import numpy
-    from ..pictures import Picture, read_picture, write_picture
-
-    if output.exists() and output.samefile(image):
-        raise ValueError(f"expected an output other than the picture itself, got {output}")
-    picture = read_picture(image)
-    height, width = picture.pixels.shape[:2]
-    expected_height, expected_width = fisheye.image_size
-    if (height, width) != fisheye.image_size:
-        if abs(width * expected_height - height * expected_width) > max(width, height):
-            raise ValueError(
-                f"expected {image} in the shape of its lens file, {expected_width}x{expected_height}, "
-                f"got {width}x{height}"
-            )
-        fisheye = fisheye.resize((height, width))
-    start = time.perf_counter()
-    result = numpy.rectify(picture.pixels, fisheye, view, interpolation=interpolation)
-    milliseconds = (time.perf_counter() - start) * 1e3
-    write_picture(output, Picture(result.image, picture.metadata))
-    height, width = view.image_size
-    typer.echo(
-        f"{output}: {width}x{height}, focal {view.params[0]:.1f} px, {result.valid.mean():.1%} valid, "
-        f"{milliseconds:.1f} ms"
-    )
+    _run(planned, todo, rectifier, manifest, count, save_camera)
 
 
-def _rectify_photo(image: Path, output: Path, save_camera: Path | None, rectifier: Rectifier, **options: Any) -> None:
-    from ..pictures import Picture, read_picture, write_picture
+def _run(
+    planned: Plan,
+    todo: list[Task],
+    rectifier: FileRectifier,
+    manifest: Manifest | None,
+    jobs: int,
+    save_camera: Path | None,
+) -> None:
+    """Rectify, say and write down what became of each file."""
+    from ..bulk import run
+    from ..replacement import remove_leftovers
 
-    if output.exists() and output.samefile(image):
-        raise ValueError(f"expected an output other than the picture itself, got {output}")
-    picture = read_picture(image)
-    result = rectifier(picture.pixels, **options)
-    if save_camera is not None:
-        result.camera.save(save_camera)
-    write_picture(output, Picture(result.image, picture.metadata))
-    height, width = result.valid.shape
-    shown = f"{width}x{height}, {result.valid.mean():.1%} valid, " if result.distorted else "as it was, "
-    typer.echo(f"{output}: {shown}{describe(result)}")
+    settings, failures, made = rectifier.settings(), 0, 0
+    try:
+        remove_leftovers(task.target for task in todo)
+        with (
+            file_progress(len(todo)) as (echo, on_frame, on_file),
+            contextlib.closing(run(todo, rectifier, jobs=jobs, on_frame=on_frame)) as outcomes,
+        ):
+            for task, seconds, report, error in outcomes:
+                on_file(task)
+                if manifest is not None:
+                    camera, view = (None, None) if report is None else (report.camera, report.view)
+                    manifest.add(task, settings, seconds=seconds, camera=camera, view=view, error=error)
+                if report is not None:
+                    made += 1
+                    echo(f"{task.target}: {report.summary}, {seconds * 1e3:.1f} ms")
+                    if save_camera is not None:
+                        report.camera.save(save_camera)
+                if error is not None:
+                    failures += 1
+                    say("rectify", error)
+    except OSError as error:
+        raise fail("rectify", error) from error
+    except KeyboardInterrupt:
+        say("rectify", f"interrupted after {made} of {len(todo)} files")
+        raise typer.Exit(130) from None
+    skipped = len(planned.tasks) - len(todo)
+    if skipped:
+        typer.echo(f"{planned.folder}: {skipped} of {len(planned.tasks)} files were done before")
+    if failures and len(planned.tasks) > 1:
+        say("rectify", f"{failures} of {len(todo)} files failed")
+    if failures:
+        raise typer.Exit(1 if made or len(planned.tasks) > 1 else 2)
 
 
-def _load_fisheye(path: Path) -> FisheyeCamera:
+def _target_suffix(format: str | None) -> Callable[[str], str]:
+    from ..file_rectifiers import SUFFIXES, VIDEO_SUFFIXES, target_suffix
+
+    if format is None:
+        return functools.partial(target_suffix, picture_suffix=None, video_suffix=None)
+    suffix = f".{format.lower().removeprefix('.')}"
+    if suffix not in SUFFIXES:
+        raise ValueError(f"expected --format such as jpg, png or mp4, got {format!r}")
+    if suffix in VIDEO_SUFFIXES:
+        return functools.partial(target_suffix, picture_suffix=None, video_suffix=suffix)
+    return functools.partial(target_suffix, picture_suffix=suffix, video_suffix=None)
+
+
+def _calibrated(
+    camera: Path, options: ViewOptions, interpolation: str, quality: int | None, jobs: int
+) -> CalibratedRectifier:
     from ..cameras import FisheyeCamera
+    from ..file_rectifiers import CalibratedRectifier
 
-    return FisheyeCamera.load(path)
+    fisheye = FisheyeCamera.load(camera)
+    threads = max(1, (os.cpu_count() or 1) // jobs)
+    return CalibratedRectifier(fisheye, options.view_of(fisheye), interpolation, quality, threads)
 
 
-def _view(fisheye: FisheyeCamera, size: tuple[int, int], **options: float | None) -> PinholeCamera:
-    from .. import views
+def _blind(
+    options: ViewOptions, interpolation: str, quality: int | None, weights: Path | None, refine: bool
+) -> BlindRectifier:
+    from ..file_rectifiers import BlindRectifier
 
-    return views.choose(fisheye, size, **options)
+    rectifier = BlindRectifier(options, interpolation, quality, weights, refine)
+    rectifier.rectifier()  # broken weights are told before anything is done
+    return rectifier
+
+
+def _check_files(tasks: list[Task], *, may_replace: bool) -> None:
+    """Refuse what would fail at the end only: a picture's suffix, files that are there, PyAV that is not."""
+    from ..file_rectifiers import is_video
+    from ..pictures import picture_format_of
+
+    for task in tasks:
+        if not is_video(task.source):
+            picture_format_of(task.target)
+    if any(is_video(task.source) for task in tasks):
+        from .. import video  # noqa: F401  says what to install
+    there = [] if may_replace else [task.target for task in tasks if task.target.exists()]
+    if there:
+        others = f" and {len(there) - 1} others" if len(there) > 1 else ""
+        raise ValueError(f"expected a new file, or --overwrite, got {there[0]}{others}")
 
 
 def _parse_size(size: str | None) -> tuple[int, int] | None:
