@@ -57,6 +57,8 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
     try:
         with Image.open(path) as image:
             has_deep_colour = image.mode in ("RGB", "RGBA") and any(";16" in str(tile) for tile in image.tile)
+            for part in (ExifTags.IFD.Exif, ExifTags.IFD.GPSInfo):
+                image.getexif().get_ifd(part)  # a TIFF is closed once its pixels are there
             image.load()
             if has_deep_colour:
                 return _described(image, _deep_colour(path))
