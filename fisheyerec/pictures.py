@@ -57,8 +57,6 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
     try:
         with Image.open(path) as image:
             has_deep_colour = image.mode in ("RGB", "RGBA") and any(";16" in str(tile) for tile in image.tile)
-            for part in (ExifTags.IFD.Exif, ExifTags.IFD.GPSInfo):
-                image.getexif().get_ifd(part)  # a TIFF is closed once its pixels are there
             image.load()
             if has_deep_colour:
                 return _described(image, _deep_colour(path))
@@ -79,6 +77,7 @@ def decode(image: Image.Image) -> Picture:
     Raises:
         OSError: an image that was opened but is truncated.
     """
+    image.load()
     if image.mode.startswith("I"):
         return _described(image, np.asarray(image, dtype=np.float32))
     mode = image.mode if image.mode in _EXACT_MODES else "RGBA" if image.has_transparency_data else "RGB"
@@ -143,7 +142,10 @@ def picture_format_of(path: Path) -> str:
 
 
 def _described(image: Image.Image, pixels: np.ndarray) -> Picture:
-    """Turn the pixels of an image upright, and keep what it says about itself but that they lay otherwise."""
+    """Turn the pixels of an image upright, and keep what it says about itself but that they lay otherwise.
+
+    The image must be loaded: Pillow and OpenCV both turn a TIFF themselves, and Pillow forgets its orientation then.
+    """
     exif = image.getexif()
     orientation = exif.pop(ExifTags.Base.Orientation, 1)
     if image.format == "TIFF":

@@ -1,5 +1,7 @@
 """Picture files: pixels of every kind there and back, and what a file says about itself."""
 
+import struct
+
 import numpy as np
 import pytest
 from PIL import ExifTags, Image, ImageCms, ImageOps
@@ -51,6 +53,33 @@ def test_every_orientation_is_undone_as_pillow_does(tmp_path, deep, kind, orient
     write_picture(tmp_path / "deep.png", Picture(eight * np.float32(257), {"exif": exif.tobytes()}))
     found = read_picture(tmp_path / "deep.png").pixels
     np.testing.assert_array_equal(found, expected * np.float32(257))
+
+
+def tiff(pixels, orientation):
+    """A TIFF of uint16 colour, as no writer at hand makes one that is turned."""
+    height, width, channels = pixels.shape
+    tags = [
+        (256, 3, width),
+        (257, 3, height),
+        (258, 3, 8),
+        (259, 3, 1),
+        (262, 3, 2),
+        (273, 4, 16),
+        (274, 3, orientation),
+    ]
+    tags += [(277, 3, channels), (278, 3, height), (279, 4, pixels.nbytes)]
+    entries = [struct.pack("<HHII", tag, kind, channels if tag == 258 else 1, value) for tag, kind, value in tags]
+    header = struct.pack("<2sHI", b"II", 42, 16 + pixels.nbytes) + struct.pack("<3HH", 16, 16, 16, 0)
+    return header + pixels.tobytes() + struct.pack("<H", len(tags)) + b"".join(entries) + struct.pack("<I", 0)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_deep_colour_of_a_turned_tiff_is_upright(tmp_path, deep, orientation):
+    (tmp_path / "a.tif").write_bytes(tiff(deep[..., :3], orientation))
+    with Image.open(tmp_path / "a.tif") as image:
+        expected = np.asarray(image)  # Pillow turns it upright, in 8 bits
+    found = read_picture(tmp_path / "a.tif").pixels
+    np.testing.assert_array_equal(found // 256, expected)
 
 
 @pytest.fixture
