@@ -44,10 +44,11 @@ SAMPLED_FRAMES = 9
 """How many frames a camera is estimated from."""
 
 _PLANAR_BYTES = {"yuv420p", "yuvj420p", "yuv422p", "yuvj422p", "yuv444p", "yuvj444p"}
-_FULL_RANGE, _BT709 = 2, 1  # AVCOL_RANGE_JPEG, AVCOL_SPC_BT709
+_LIMITED_RANGE, _FULL_RANGE, _BT709 = 1, 2, 1  # AVCOL_RANGE_MPEG, AVCOL_RANGE_JPEG, AVCOL_SPC_BT709
 _LEFT_SITING = 1 / 4  # chroma samples, from the middle of the luma samples that one stands for
 _AHEAD = 4  # frames
 _SLACK = 1 / 4  # s, by which a complete file may end before its header says
+_BROADCAST = {"h264", "hevc", "mpeg2video", "aac", "mp2", "mp3", "ac3", "eac3", "opus"}
 # Encoder, what its constant rate factor is at the lowest quality, and options for speed.
 _ENCODERS = {
     "h264": ("libx264", 51, {"preset": "veryfast"}),
@@ -81,8 +82,12 @@ class _Damage:
         elif self.broke_off:
             found.append(f"breaks off after {self.reached:.2f} s")
         if self.lost_packets:
-            found.append(f"has {self.lost_packets} packets that cannot be decoded")
+            found.append(f"has {_counted(self.lost_packets, 'packet')} that cannot be decoded")
         return f"{os.fspath(source)}: {' and '.join(found)}; what is there was written" if found else None
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def rectify_video(
@@ -130,8 +135,6 @@ def rectify_video(
                     item.stream = copied[item.stream.index][1]
                     out.mux(item)
                     continue
-                if not frames:
-                    _take_colours(encoder, item)
                 out.mux(encoder.encode(item))
                 frames += 1
                 on_frame(frames, total)
@@ -143,7 +146,7 @@ def rectify_video(
     seconds = time.perf_counter() - start
     summary = f"{frames} frames, {frames / seconds:.1f} a second"
     if dropped:
-        summary += f", without {dropped} streams of data, pictures or kinds that the container cannot hold"
+        summary += f", without {_counted(dropped, 'stream')} of data, pictures or kinds that the container cannot hold"
     return VideoReport(frames, seconds, summary, damage.complaint(source, duration))
 
 
@@ -298,13 +301,12 @@ def _rectified(items: Generator[Any, None, None], camera: FisheyeCamera, view: C
                         f"rectify_video(): expected frames of the camera's size {width}x{height}, "
                         f"got {got_width}x{got_height}"
                     )
-                black = 0 if frame.color_range == _FULL_RANGE or "yuvj" in frame.format.name else 16
+                black = 0 if _has_full_range(frame) else 16
                 planes = [_Plane(plane, frame, camera, view, black) for plane in range(3)]
             height, width = view.image_size
             out = av.VideoFrame(width, height, "yuv420p")
             for number, plane in enumerate(planes):
                 _pixels(out.planes[number])[:] = plane.rectify(_pixels(frame.planes[number]))
-            out.color_range, out.colorspace = frame.color_range, frame.colorspace
             out.pts, out.time_base = clock.time_of(item), item.time_base
             yield out
 
@@ -313,8 +315,14 @@ def _planar(frame: Any) -> Any:
     """Give a frame in 8 bit planes of luma and chroma; it is the same where it has such."""
     if frame.format.name in _PLANAR_BYTES:
         return frame
-    has_matrix = not frame.format.is_rgb
-    return frame.reformat(format="yuv420p", dst_colorspace=None if has_matrix else _BT709)
+    if frame.format.is_rgb:
+        return frame.reformat(format="yuv420p", dst_colorspace=_BT709, dst_color_range=_LIMITED_RANGE)
+    return frame.reformat(format="yuv420p", dst_color_range=_FULL_RANGE if _has_full_range(frame) else _LIMITED_RANGE)
+
+
+def _has_full_range(frame: Any) -> bool:
+    """Tell whether black is 0, not 16, in a frame or a stream."""
+    return bool(frame.color_range == _FULL_RANGE or frame.format.name.startswith("yuvj"))
 
 
 def _pixels(plane: Any) -> np.ndarray:
@@ -379,6 +387,7 @@ class _Clock:
 
 @contextlib.contextmanager
 def _create(path: Path) -> Iterator[Any]:
+    path.touch()  # PyAV does not say which file it could not write
     try:
         out = av.open(str(path), "w")
     except ValueError as error:
@@ -392,15 +401,21 @@ def _copied_streams(clip: Any, out: Any, kinds: tuple[str, ...] = ("audio", "sub
     out.metadata.update(clip.metadata)
     copied = {}
     for stream in clip.streams:
-        if stream.type in kinds and stream.codec_context.codec.canonical_name in out.supported_codecs:
+        if stream.type in kinds and _holds(out, stream.codec_context.codec.canonical_name):
             made = out.add_stream_from_template(stream)
             made.metadata.update(stream.metadata)
             copied[stream.index] = (stream, made)
     return copied
 
 
+def _holds(container: Any, codec: str) -> bool:
+    """Tell whether a container takes a codec; of MPEG-TS, which takes what television does, FFmpeg gives no list."""
+    known: set[str] = container.supported_codecs
+    return codec in known or (container.format.name == "mpegts" and codec in _BROADCAST)
+
+
 def _encoder(out: Any, video: Any, view: Camera, quality: int) -> Any:
-    codec = next((name for name in _ENCODERS if name in out.supported_codecs), None)
+    codec = next((name for name in _ENCODERS if _holds(out, name)), None)
     if codec is None:
         raise ValueError(f"expected a container that holds {' or '.join(_ENCODERS)}, got {out.format.name}")
     name, worst, options = _ENCODERS[codec]
@@ -409,11 +424,12 @@ def _encoder(out: Any, video: Any, view: Camera, quality: int) -> Any:
     encoder = out.add_stream(name, rate=rate, options={**options, "crf": str(crf)})
     encoder.height, encoder.width = view.image_size
     encoder.pix_fmt, encoder.bit_rate = "yuv420p", 0
-    encoder.codec_context.time_base = video.time_base
+    context, seen = encoder.codec_context, video.codec_context
+    context.time_base = video.time_base
+    context.color_primaries, context.color_trc = seen.color_primaries, seen.color_trc
+    if seen.format.is_rgb:
+        context.color_range, context.colorspace = _LIMITED_RANGE, _BT709
+    else:
+        context.color_range = _FULL_RANGE if _has_full_range(seen) else _LIMITED_RANGE
+        context.colorspace = seen.colorspace
     return encoder
-
-
-def _take_colours(encoder: Any, frame: Any) -> None:
-    """Tell the encoder what the numbers of a frame stand for."""
-    context = encoder.codec_context
-    context.color_range, context.colorspace = frame.color_range, frame.colorspace
