@@ -340,8 +340,9 @@ class _Plane:
         self.camera = _plane_camera(camera, steps, self.turns)
         self.view = _plane_camera(view, (1, 1) if number == 0 else (2, 2), 0)
         self.empty = black if number == 0 else 128
-        rays_seen = door.rectify(np.zeros(self.camera.image_size, np.uint8), self.camera, self.view).valid
-        self.invalid = np.flatnonzero(~rays_seen)
+        blank = np.zeros(self.camera.image_size, np.uint8)
+        valid = door.rectify(blank, self.camera, self.view, threads=1).valid
+        self.invalid = np.flatnonzero(~valid)
 
     def rectify(self, pixels: np.ndarray) -> np.ndarray:
         # One thread: the others decode and encode. Beyond the edge, zero would be green.

@@ -1,5 +1,6 @@
 """Many files at once: what is worked on, where it goes, what is written down, and what an early end leaves behind."""
 
+import contextlib
 import functools
 import json
 import os
@@ -24,6 +25,7 @@ from fisheyerec.pictures import Picture, read_picture, write_picture
 from fisheyerec.replacement import remove_leftovers, replacement
 
 SIZE = (48, 64)
+BEGINNING = r"(\n|\x1b\[2K)"  # of a line, on a terminal
 
 
 @pytest.fixture
@@ -360,6 +362,27 @@ def test_bad_use_is_one_line_and_leaves_nothing(photos, arguments, message):
     assert (result.returncode, len(result.stderr.splitlines())) == (2, 1), result.stderr
     assert re.search(message, result.stderr), result.stderr
     assert {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.skipif(os.name != "posix", reason="terminals of POSIX")
+@pytest.mark.parametrize("stdout_too", [True, False])
+def test_bars_are_shown_on_a_terminal_and_lines_go_where_they_belong(photos, stdout_too):
+    touch("in/broken.png")
+    mine, terminal = os.openpty()
+    stdout = terminal if stdout_too else subprocess.PIPE
+    process = subprocess.Popen(command("in", "-o", "out", *photos), stdout=stdout, stderr=terminal, text=True)
+    os.close(terminal)
+    shown, lines = b"", ""
+    with contextlib.suppress(OSError):  # the end of a terminal
+        while chunk := os.read(mine, 4096):
+            shown += chunk
+    os.close(mine)
+    if not stdout_too:
+        lines = process.stdout.read()
+    assert process.wait(timeout=60) == 1
+    assert "4/4" in shown.decode()
+    assert re.search(rf"{BEGINNING}fisheyerec rectify: read_picture.*broken\.png", shown.decode())
+    assert (shown if stdout_too else lines.encode()).count(b"focal") == 3
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

@@ -29,6 +29,8 @@ class FileProgress(NamedTuple):
 
     echo: Callable[[str], None]
     """Print a line on standard output, above the bars where it is the same terminal."""
+    complain: Callable[[str], None]
+    """Print a line on standard error, above the bars."""
     on_frame: Callable[[Task, int, int | None], None]
     """A video has come so many frames of so many, as far as is known."""
     on_file: Callable[[Task], None]
@@ -38,24 +40,38 @@ class FileProgress(NamedTuple):
 @contextmanager
 def file_progress(count: int) -> Iterator[FileProgress]:
     """Show one bar for the files, where there are several, and one for each video in progress."""
+    import functools
     import sys
 
     import typer
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        TaskID,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+    from rich.progress import Task as ProgressTask
+    from rich.text import Text
 
-    rate = TextColumn("{task.fields[unit]}, {task.speed:.1f} a second,")
-    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn()]
+    class Rate(ProgressColumn):
+        def render(self, task: ProgressTask) -> Text:
+            return Text(f"{task.fields['unit']}, {task.speed or 0:.1f} a second,")
+
+    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn()]
     console = Console(stderr=True)
     bars: dict[Task, TaskID] = {}
     with Progress(*columns, console=console, disable=not console.is_terminal, redirect_stdout=False) as progress:
         files = progress.add_task("", total=count, unit="files", visible=count > 1)
 
-        def echo(line: str) -> None:
-            if console.is_terminal and sys.stdout.isatty():
+        def echo(line: str, err: bool = False) -> None:
+            if console.is_terminal and (err or sys.stdout.isatty()):
                 progress.console.print(line, markup=False, highlight=False, soft_wrap=True)
             else:
-                typer.echo(line)
+                typer.echo(line, err=err)
 
         def on_frame(task: Task, done: int, total: int | None) -> None:
             if task not in bars:
@@ -67,4 +83,4 @@ def file_progress(count: int) -> Iterator[FileProgress]:
             if task in bars:
                 progress.remove_task(bars.pop(task))
 
-        yield FileProgress(echo, on_frame, on_file)
+        yield FileProgress(echo, functools.partial(echo, err=True), on_frame, on_file)

@@ -128,22 +128,22 @@ def _run(
     try:
         remove_leftovers(task.target for task in todo)
         with (
-            file_progress(len(todo)) as (echo, on_frame, on_file),
-            contextlib.closing(run(todo, rectifier, jobs=jobs, on_frame=on_frame)) as outcomes,
+            file_progress(len(todo)) as progress,
+            contextlib.closing(run(todo, rectifier, jobs=jobs, on_frame=progress.on_frame)) as outcomes,
         ):
             for task, seconds, report, error in outcomes:
-                on_file(task)
+                progress.on_file(task)
                 if manifest is not None:
                     camera, view = (None, None) if report is None else (report.camera, report.view)
                     manifest.add(task, settings, seconds=seconds, camera=camera, view=view, error=error)
                 if report is not None:
                     made += 1
-                    echo(f"{task.target}: {report.summary}, {seconds * 1e3:.1f} ms")
+                    progress.echo(f"{task.target}: {report.summary}, {seconds * 1e3:.1f} ms")
                     if save_camera is not None:
                         report.camera.save(save_camera)
                 if error is not None:
                     failures += 1
-                    say("rectify", error)
+                    progress.complain(f"fisheyerec rectify: {error}")
     except OSError as error:
         raise fail("rectify", error) from error
     except KeyboardInterrupt:
