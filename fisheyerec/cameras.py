@@ -182,7 +182,7 @@ class Camera:
             [fx * factor, fy * factor, pixel.scale(cx, factor), pixel.scale(cy, factor), *k], (height, width)
         )
 
-    def crop(self, x0: int, y0: int, image_size: tuple[int, int]) -> Self:
+    def crop(self, x0: float, y0: float, image_size: tuple[int, int]) -> Self:
         """Give the camera of the part of the picture whose upper left pixel is (x0, y0); it may reach outside."""
         fx, fy, cx, cy, *k = self._columns()
         return self._with([fx, fy, cx - x0, cy - y0, *k], image_size)

@@ -86,8 +86,8 @@ def test_several_pictures_go_to_a_folder_and_one_bad_one_does_not_stop_the_rest(
     (tmp_path / "bad.png").write_bytes(picture.read_bytes()[:300])
     result = rectify(tmp_path / "bad.png", picture, "-o", tmp_path / "out", camera=camera_file)
     assert result.returncode == 1
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["small.png"]
-    assert result.stderr.splitlines()[-1] == "fisheyerec rectify: 1 of 2 pictures failed"
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["manifest.jsonl", "small.png"]
+    assert result.stderr.splitlines()[-1] == "fisheyerec rectify: 1 of 2 files failed"
 
 
 def test_grey_sixteen_bit_and_transparency_survive(small, tmp_path):

@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 
 import fisheyerec as fr
 from fisheyerec import rectifier as module
-from fisheyerec.cli import _json_line, app
+from fisheyerec.cli import app
+from fisheyerec.cli.estimate import _json_line
 from fisheyerec.lens_chart import SIZE, camera_from_chart, chart_from_camera
 from fisheyerec.network import FishEyeRecNet
 from fisheyerec.pictures import Picture, read_picture, write_picture
