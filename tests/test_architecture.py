@@ -21,6 +21,7 @@ ORDER = [
     "_C",
     "reference",
     "cameras",
+    "wide_views",
     "views",
     "_arguments",
     "_ops",
@@ -41,7 +42,18 @@ ORDER = [
 ]
 
 # Calibrated work on NumPy arrays and the command line start without torch: it may only be imported inside functions.
-WITHOUT_TORCH = ["__init__", "pixel", "camera_files", "cameras", "views", "_arguments", "numpy", "pictures", "cli"]
+WITHOUT_TORCH = [
+    "__init__",
+    "pixel",
+    "camera_files",
+    "cameras",
+    "wide_views",
+    "views",
+    "_arguments",
+    "numpy",
+    "pictures",
+    "cli",
+]
 
 # Few have these as their users.
 ONLY_USED_BY = {
