@@ -14,7 +14,7 @@ import typer
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
 
-    from .cameras import FisheyeCamera, PinholeCamera
+    from .cameras import Camera, FisheyeCamera
     from .rectifier import PhotoEstimate, Rectifier
     from .training.train import TrainingOptions
 
@@ -60,7 +60,12 @@ def rectify(
         str | None,
         typer.Option(help="edge-matched, keep-all, valid-only or valid-rectangle (the largest, off centre)."),
     ] = None,
-    fov_deg: Annotated[float | None, typer.Option(help="Field of view across the result's width, below 180.")] = None,
+    projection: Annotated[
+        str, typer.Option(help="pinhole, cylindrical, equirectangular, stereographic or panini.")
+    ] = "pinhole",
+    fov_deg: Annotated[
+        float | None, typer.Option(help="Field of view across the result's width; below 180 for pinhole.")
+    ] = None,
     focal: Annotated[float | None, typer.Option(help="Focal length of the result in pixels.")] = None,
     balance: Annotated[
         float | None, typer.Option(help="0: only valid pixels; 1: keep the whole picture; or between.")
@@ -84,7 +89,7 @@ def rectify(
         if (view, fov_deg, focal, balance).count(None) < 3:
             raise ValueError("expected one of --view, --fov-deg, --focal and --balance, got several")
         mode = view.replace("-", "_") if view is not None else None
-        options = {"fov_deg": fov_deg, "focal": focal, "balance": balance}
+        options: dict[str, Any] = {"fov_deg": fov_deg, "focal": focal, "balance": balance, "projection": projection}
         view_size = _parse_size(size)
         rotation = _rotation(pan, tilt, roll)
         _check_save_camera(images, save_camera)
@@ -352,7 +357,7 @@ def train(
         raise typer.Exit(130)
 
 
-def _rectify_file(image: Path, fisheye: FisheyeCamera, view: PinholeCamera, output: Path, **options: Any) -> None:
+def _rectify_file(image: Path, fisheye: FisheyeCamera, view: Camera, output: Path, **options: Any) -> None:
     from . import numpy
     from .pictures import Picture, read_picture, write_picture
 
@@ -459,7 +464,7 @@ def _load_fisheye(path: Path) -> FisheyeCamera:
     return FisheyeCamera.load(path)
 
 
-def _view(fisheye: FisheyeCamera, size: tuple[int, int], mode: str | None, **options: float | None) -> PinholeCamera:
+def _view(fisheye: FisheyeCamera, size: tuple[int, int], mode: str | None, **options: Any) -> Camera:
     from .views import view_for
 
     return view_for(fisheye, size, mode, **options)
