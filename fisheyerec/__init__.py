@@ -16,10 +16,15 @@ if TYPE_CHECKING:
     from .rectification import DistortionRectification, Rectification, distort, rectify, resample
     from .rectifier import PhotoEstimate, PhotoRectification, Rectifier
     from .views import view_for, view_rotation
+    from .wide_views import CylindricalView, EquirectangularView, PaniniView, StereographicView
 
 _HOME = {
     "FisheyeCamera": "cameras",
     "PinholeCamera": "cameras",
+    "CylindricalView": "wide_views",
+    "EquirectangularView": "wide_views",
+    "PaniniView": "wide_views",
+    "StereographicView": "wide_views",
     "FishEyeRecNet": "network",
     "PhotoEstimate": "rectifier",
     "PhotoRectification": "rectifier",
@@ -35,14 +40,18 @@ _HOME = {
 }
 
 __all__ = [
+    "CylindricalView",
     "DistortionRectification",
+    "EquirectangularView",
     "FishEyeRecNet",
     "FisheyeCamera",
+    "PaniniView",
     "PhotoEstimate",
     "PhotoRectification",
     "PinholeCamera",
     "Rectification",
     "Rectifier",
+    "StereographicView",
     "backend_for",
     "distort",
     "rectify",

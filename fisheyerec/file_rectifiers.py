@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from . import numpy as door
-from .cameras import Camera, FisheyeCamera, PinholeCamera
+from .cameras import Camera, FisheyeCamera
 from .manifest import camera_entry
 from .pictures import PICTURE_SUFFIXES, Picture, picture_format_of, read_picture, write_picture
 from .views import view_for, view_rotation
@@ -130,16 +130,21 @@ class ViewOptions:
     fov_deg: float | None = None
     focal: float | None = None
     balance: float | None = None
+    projection: str = "pinhole"
     size: tuple[int, int] | None = None
     """(height, width); None for the input's."""
     pan_deg: float = 0
     tilt_deg: float = 0
     roll_deg: float = 0
 
-    def view_of(self, camera: FisheyeCamera) -> PinholeCamera:
+    def view_of(self, camera: FisheyeCamera) -> Camera:
         """Choose the view of a camera."""
-        size = self.size or camera.image_size
-        return view_for(camera, size, self.mode, fov_deg=self.fov_deg, focal=self.focal, balance=self.balance)
+        size, options = self.size or camera.image_size, self.zoom()
+        return view_for(camera, size, self.mode, projection=self.projection, **options)
+
+    def zoom(self) -> dict[str, float | None]:
+        """Give the options that say how much of the scene is seen."""
+        return {"fov_deg": self.fov_deg, "focal": self.focal, "balance": self.balance}
 
     def rotation(self) -> np.ndarray | None:
         """Give the rotation of the view, camera_from_view; None where it is not turned."""
@@ -176,13 +181,12 @@ class BlindRectifier:
         result = self.rectifier()(
             picture.pixels,
             view=options.mode,
-            fov_deg=options.fov_deg,
-            focal=options.focal,
-            balance=options.balance,
+            projection=options.projection,
             size=options.size,
             rotation=options.rotation(),
             interpolation=self.interpolation,
             refine=self.refine,
+            **options.zoom(),
         )
         write_picture(target, Picture(result.image, picture.metadata), quality=self.quality)
         height, width = result.valid.shape

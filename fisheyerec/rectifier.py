@@ -122,6 +122,7 @@ class Rectifier:
         fov_deg: float | None = None,
         focal: float | None = None,
         balance: float | None = None,
+        projection: str = "pinhole",
         size: tuple[int, int] | None = None,
         rotation: Any = None,
         interpolation: str = "bilinear",
@@ -134,9 +135,10 @@ class Rectifier:
                 (C, H, W) or (1, C, H, W) with 1, 3 or 4 channels. RGB, from black 0 to white, which for floats is 1
                 or the next 2^n - 1 above what there is; at least 16x16.
             view: the view to make, or a mode of `view_for`; or one of the following at most.
-            fov_deg: field of view across the result's width, in (0, 180).
+            fov_deg: field of view across the result's width, in (0, 180); other projections may be wider.
             focal: focal length of the result in pixels.
             balance: from 0, only valid pixels, to 1, the whole photo.
+            projection: of the view, as for `view_for`.
             size: (height, width) of the result; None for the photo's.
             rotation: (3, 3) camera_from_view, which turns the view, as `view_rotation` gives it; None for none.
             interpolation: "bilinear" or "nearest".
@@ -157,7 +159,7 @@ class Rectifier:
             raise ValueError("Rectifier(): expected view alone or fov_deg, focal, balance and size, got both")
         estimate = self._estimate(opened.pixels, refine)
         if not isinstance(view, Camera):
-            view = view_for(estimate.camera, size or opened.pixels.shape[:2], mode, **options)
+            view = view_for(estimate.camera, size or opened.pixels.shape[:2], mode, projection=projection, **options)
         if not estimate.distorted:
             image, valid = opened.pixels, np.ones(opened.pixels.shape[:2], dtype=bool)
             view = PinholeCamera.edge_matched(estimate.camera, opened.pixels.shape[:2])

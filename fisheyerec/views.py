@@ -1,7 +1,7 @@
-"""Choosing a perspective view of a fisheye camera: how much of the picture to keep, how much emptiness to accept.
+"""Choosing a view of a fisheye camera: how much of the picture to keep, how much emptiness to accept, where to look.
 
-The choice happens in the plane Z = 1 of the camera's frame, where a perspective view is a rectangle, and the picture a
-figure without holes: a rectangle whose border shows the picture shows nothing else inside.
+Perspective views are chosen in the plane Z = 1 of the camera's frame, where such a view is a rectangle, and the picture
+a figure without holes: a rectangle whose border shows the picture shows nothing else inside.
 """
 
 from __future__ import annotations
@@ -13,11 +13,22 @@ from typing import Any
 import numpy as np
 
 from . import pixel
-from .cameras import FisheyeCamera, PinholeCamera, is_tensor
+from .cameras import Camera, FisheyeCamera, PinholeCamera, is_tensor
+from .wide_views import CylindricalView, EquirectangularView, PaniniView, StereographicView
 
 # The widest half angle that `keep_all` shows along an edge: a perspective view of 150 degrees spends nine tenths of
 # its pixels on the outer third, and one of 180 degrees would be infinitely large.
 KEEP_ALL_THETA_MAX = math.radians(75)
+
+# Projections beside the pinhole, and the widest field of view in degrees that they are given unasked: all there is, or
+# as far as things at the edge are not enlarged too much.
+WIDE_PROJECTIONS: dict[str, tuple[Callable[[float, tuple[int, int]], Camera], float]] = {
+    "cylindrical": (CylindricalView.from_fov, 360),
+    "equirectangular": (EquirectangularView.from_fov, 360),
+    "stereographic": (StereographicView.from_fov, 300),
+    "panini": (PaniniView.from_fov, 160),
+}
+PROJECTIONS = ("pinhole", *WIDE_PROJECTIONS)
 
 
 def view_for(
@@ -28,27 +39,40 @@ def view_for(
     fov_deg: float | None = None,
     focal: float | None = None,
     balance: float | None = None,
-) -> PinholeCamera:
-    """Give the perspective view that one option asks for, and the edge-matched one without; never a useless one.
+    projection: str = "pinhole",
+) -> Camera:
+    """Give the view that one option asks for, and the edge-matched one without; never a useless one.
 
     Views are centred on the lens' axis where that lies in the inner half of the picture. Calibrations of long lenses
     put it anywhere, outside the picture too; their views are centred on the largest valid rectangle.
+
+    Other projections than the pinhole take a field of view alone. Without, it is what the lens sees between the left
+    and the right edge of its picture, as far as the projection is good for.
 
     Args:
         camera: one fisheye camera.
         image_size: (height, width) of the view.
         mode: "edge_matched", "keep_all", "valid_only" or "valid_rectangle", the functions of these names.
-        fov_deg: field of view across the width, in (0, 180).
+        fov_deg: field of view across the width, in (0, 180); wider for other projections, see their `from_fov`.
         focal: focal length in pixels, above 0.
         balance: as in `balanced`.
+        projection: "pinhole", "cylindrical", "equirectangular", "stereographic" or "panini" (of distance 1).
 
     Raises:
         TypeError: camera is not a FisheyeCamera.
         ValueError: several options, one out of its range, a batch of cameras, a camera that is not finite, or one of
-            whose picture no perspective view shows anything.
+            whose picture no such view shows anything.
     """
     if (mode, fov_deg, focal, balance).count(None) < 3:
         raise ValueError("view_for(): expected one of mode, fov_deg, focal and balance, got several")
+    if projection not in PROJECTIONS:
+        raise ValueError(f"view_for(): expected projection in {PROJECTIONS}, got {projection!r}")
+    if projection in WIDE_PROJECTIONS:
+        if (mode, focal, balance) != (None, None, None):
+            raise ValueError(f"view_for(): expected fov_deg or nothing for a {projection} view, got another option")
+        from_fov, widest_deg = WIDE_PROJECTIONS[projection]
+        camera = _checked(camera, "view_for")
+        return from_fov(min(_fov_deg(camera), widest_deg) if fov_deg is None else fov_deg, image_size)
     if fov_deg is not None:
         focal = float(PinholeCamera.from_fov(fov_deg, image_size).params[0])
     if focal is not None:
@@ -196,6 +220,19 @@ def _is_centred(camera: FisheyeCamera) -> bool:
     height, width = camera.image_size
     cx, cy = camera.params[2:4]
     return bool(abs(cx - pixel.centre(width)) <= width / 4 and abs(cy - pixel.centre(height)) <= height / 4)
+
+
+def _fov_deg(camera: FisheyeCamera) -> float:
+    """Twice the smaller of the angles that the midpoints of the left and right edges see, in degrees."""
+    if not _is_centred(camera):
+        raise ValueError(
+            "view_for(): expected fov_deg for a lens whose axis lies outside the inner half of its picture, got none"
+        )
+    height, width = camera.image_size
+    left, right = -pixel.HALF_PIXEL, width - pixel.HALF_PIXEL
+    rays, valid = camera.unproject([[left, pixel.centre(height)], [right, pixel.centre(height)]])
+    theta = np.where(valid, np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]), camera.theta_max)
+    return math.degrees(2 * theta.min())
 
 
 def _centre(camera: FisheyeCamera, image_size: tuple[int, int]) -> np.ndarray:

@@ -24,6 +24,7 @@ ORDER = [
     "reference",
     "lens_models",
     "cameras",
+    "wide_views",
     "views",
     "_arguments",
     "_ops",
@@ -50,8 +51,8 @@ ORDER = [
 
 # Calibrated work on NumPy arrays and the command line start without torch: it may only be imported inside functions.
 WITHOUT_TORCH = [
-    *("__init__", "pixel", "camera_files", "lens_models", "cameras", "views", "_arguments", "numpy", "pictures"),
-    *("replacement", "folders", "manifest", "video", "file_rectifiers", "bulk", "cli"),
+    *("__init__", "pixel", "camera_files", "lens_models", "cameras", "wide_views", "views", "_arguments", "numpy"),
+    *("pictures", "replacement", "folders", "manifest", "video", "file_rectifiers", "bulk", "cli"),
 ]
 
 # Few have these as their users.

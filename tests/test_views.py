@@ -214,8 +214,43 @@ def test_fixed_views_are_what_they_say():
     )
 
 
+@pytest.mark.parametrize(("projection", "fov_deg"), [("cylindrical", 100), ("panini", 20.0), ("stereographic", 250)])
+def test_other_projections_are_as_wide_as_they_are_asked_to_be(projection, fov_deg):
+    view = fr.view_for(CAMERA, (100, 160), projection=projection, fov_deg=fov_deg)
+    assert view.model == projection
+    rays, _ = view.unproject([[-0.5, 49.5], [159.5, 49.5]])
+    np.testing.assert_allclose(np.degrees(np.arctan2(rays[:, 0], rays[:, 2])), [-fov_deg / 2, fov_deg / 2])
+
+
+@pytest.mark.parametrize("projection", views.WIDE_PROJECTIONS)
+def test_other_projections_show_the_lens_from_edge_to_edge(lens, projection):
+    if not views._is_centred(lens.numpy()):
+        with pytest.raises(ValueError, match="expected fov_deg for a lens whose axis"):
+            fr.view_for(lens, (100, 160), projection=projection)
+        return
+    view = fr.view_for(lens, (100, 160), projection=projection)
+    _, widest_deg = views.WIDE_PROJECTIONS[projection]
+    rays, valid = view.unproject([[-0.4999, 49.5], [79.5, 49.5], [159.4999, 49.5]])
+    theta = np.degrees(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
+    assert valid.all()
+    assert theta[0] == pytest.approx(theta[2])
+    assert theta[1] == pytest.approx(0, abs=1e-9)
+    # No further than the nearer edge, and to the edge unless the projection ends before.
+    height, width = lens.image_size
+    points, hit = lens.project(rays[[0, 2]])
+    offset = np.abs(points[:, 0] - lens.params[2]).max()
+    nearer = min(lens.params[2] + 0.5, width - 0.5 - lens.params[2])
+    assert hit.all()
+    assert offset <= nearer * 1.001 + 0.01 * height
+    ends_before = theta[0] > widest_deg / 2 - 0.1 or theta[0] > np.degrees(lens.theta_max) - 0.1
+    assert ends_before or offset >= 0.98 * nearer - 0.02 * height
+
+
 BAD = {
     "two_options": (lambda: fr.view_for(CAMERA, (9, 9), "keep_all", balance=1), ValueError, "expected one of mode"),
+    "projection": (lambda: fr.view_for(CAMERA, (9, 9), projection="flat"), ValueError, "projection in .*got 'flat'"),
+    "wide_mode": (lambda: fr.view_for(CAMERA, (9, 9), "keep_all", projection="panini"), ValueError, "a panini view"),
+    "wide_fov": (lambda: fr.view_for(CAMERA, (9, 9), fov_deg=361, projection="cylindrical"), ValueError, "got 361"),
     "mode": (lambda: fr.view_for(CAMERA, (9, 9), "best"), ValueError, "mode in .*'edge_matched'.*got 'best'"),
     "fov": (lambda: fr.view_for(CAMERA, (9, 9), fov_deg=180), ValueError, "fov_deg in .0, 180.*got 180"),
     "focal": (lambda: fr.view_for(CAMERA, (9, 9), focal=0), ValueError, "focal length above 0, got 0"),

@@ -44,7 +44,12 @@ def rectify(
         str | None,
         typer.Option(help="edge-matched, keep-all, valid-only or valid-rectangle (the largest, off centre)."),
     ] = None,
-    fov_deg: Annotated[float | None, typer.Option(help="Field of view across the result's width, below 180.")] = None,
+    projection: Annotated[
+        str, typer.Option(help="pinhole, cylindrical, equirectangular, stereographic or panini.")
+    ] = "pinhole",
+    fov_deg: Annotated[
+        float | None, typer.Option(help="Field of view across the result's width; below 180 for pinhole.")
+    ] = None,
     focal: Annotated[float | None, typer.Option(help="Focal length of the result in pixels.")] = None,
     balance: Annotated[
         float | None, typer.Option(help="0: only valid pixels; 1: keep the whole picture; or between.")
@@ -89,7 +94,7 @@ def rectify(
             raise ValueError("expected one of --view, --fov-deg, --focal and --balance, got several")
         check_interpolation("rectify", interpolation)
         mode = view.replace("-", "_") if view is not None else None
-        options = ViewOptions(mode, fov_deg, focal, balance, parse_size(size), pan, tilt, roll)
+        options = ViewOptions(mode, fov_deg, focal, balance, projection, parse_size(size), pan, tilt, roll)
         planned = plan(inputs, output, suffixes=SUFFIXES, target_suffix=_target_suffix(format))
         check_save_camera([task.source for task in planned.tasks], save_camera)
         todo, manifest = planned.tasks, None
