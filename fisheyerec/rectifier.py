@@ -60,6 +60,8 @@ class PhotoEstimate:
     """The same under `camera`."""
     refined: bool
     """Whether the camera was refined on lines; else it is the network's."""
+    covariance: np.ndarray
+    """(8, 8): of the lens chart, which the confidence sums up."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -196,6 +198,7 @@ class Rectifier:
             before,
             after,
             refinement is not None and refinement.accepted and distorted,
+            covariance,
         )
 
     def _look(self, working: np.ndarray) -> tuple[FisheyeCamera, np.ndarray]:

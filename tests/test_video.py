@@ -20,7 +20,7 @@ from fisheyerec import file_rectifiers, views
 from fisheyerec.file_rectifiers import BlindRectifier, CalibratedRectifier, ViewOptions
 from fisheyerec.lens_chart import camera_from_chart, chart_of
 from fisheyerec.pictures import Picture, read_picture, write_picture
-from fisheyerec.pooling import pool, weighted_median
+from fisheyerec.pooling import pool, robust_mean
 from fisheyerec.rectifier import PhotoEstimate
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
@@ -401,8 +401,8 @@ def test_pictures_and_clips_of_one_folder(clip, lens, tmp_path):
 # --- One camera from many frames ------------------------------------------------------------------
 
 
-def told(camera, confidence, distorted=True):
-    return PhotoEstimate(camera, confidence, distorted, 1.0, 0.1, True)
+def told(camera, confidence=0.5, distorted=True, sigma=0.01):
+    return PhotoEstimate(camera, confidence, distorted, 1.0, 0.1, True, sigma**2 * np.eye(8))
 
 
 def shifted(amount):
@@ -411,16 +411,22 @@ def shifted(amount):
     return fr.FisheyeCamera(camera_from_chart(torch.from_numpy(chart), SIZE).numpy(), SIZE)
 
 
-def test_the_weighted_median_is_the_value_in_the_middle_of_the_weight():
-    values = np.array([3.0, 1.0, 2.0, np.nan])
-    assert weighted_median(values, np.array([1.0, 1.0, 1.0, 9.0])) == 2
-    assert weighted_median(values, np.array([5.0, 1.0, 1.0, 9.0])) == 3
-    assert np.isnan(weighted_median(values[3:], np.array([1.0])))
+def test_the_robust_mean_of_what_agrees_is_the_product_of_gaussians():
+    rng = np.random.default_rng(0)
+    roots = rng.standard_normal((3, 2, 2))
+    covariances = roots @ roots.transpose(0, 2, 1)
+    mean, covariance = robust_mean(np.tile([1.0, -2.0], (3, 1)), covariances)
+    np.testing.assert_allclose(mean, [1, -2])
+    weight = (4 + 2) / 4  # of a value that is where the mean is
+    np.testing.assert_allclose(covariance, np.linalg.inv(weight * np.linalg.inv(covariances).sum(0)), rtol=1e-5)
+    unsure = np.array([np.eye(1), 4 * np.eye(1)])
+    near, _ = robust_mean(np.array([[0.0], [0.01]]), unsure)
+    np.testing.assert_allclose(near, 0.01 / 5, rtol=1e-3)
 
 
-def test_frames_that_are_wrong_do_not_move_the_camera():
-    good = [told(shifted(amount), 0.9) for amount in (-0.01, 0.0, 0.01)]
-    wild = [told(shifted(0.8), 0.2), told(shifted(-0.5), 0.1), told(shifted(0.7), 0.3, distorted=False)]
+def test_frames_that_are_wrong_hardly_move_the_camera():
+    good = [told(shifted(amount)) for amount in (-0.01, 0.0, 0.01)]
+    wild = [told(shifted(0.4)), told(shifted(0.5), 0.1, sigma=0.1), told(shifted(0.5), 0.1, distorted=False)]
     found = pool(good + wild)
     assert found.distorted
     np.testing.assert_allclose(chart_of(found.camera), chart_of(shifted(0)), atol=0.02)
