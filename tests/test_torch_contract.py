@@ -31,7 +31,7 @@ def noise(*shape, dtype=torch.float32, seed=0):
 # --- opcheck --------------------------------------------------------------------------------------
 
 # Name: dtype, (B, C), channels_last, lenses, views, rotations, source and target models, interpolation, padding.
-KB, PINHOLE = "kannala_brandt", "pinhole"
+KB, PINHOLE, CYLINDER, PANINI = "kannala_brandt", "pinhole", "cylindrical", "panini"
 SAMPLES = {
     "rectify": (torch.float32, (2, 3), False, 2, 1, None, (KB, PINHOLE), "bilinear", "zeros"),
     "distort": (torch.float32, (2, 3), False, 2, 1, None, (PINHOLE, KB), "bilinear", "zeros"),
@@ -47,6 +47,9 @@ SAMPLES = {
     "nearest": (torch.float32, (2, 3), True, 2, 1, 2, (KB, PINHOLE), "nearest", "zeros"),
     "between_views": (torch.float32, (2, 3), False, 2, 1, 2, (PINHOLE, PINHOLE), "bilinear", "zeros"),
     "between_lenses": (torch.float32, (2, 3), False, 2, 1, 2, (KB, KB), "bilinear", "zeros"),
+    "cylindrical": (torch.float32, (2, 3), False, 2, 1, 2, (KB, CYLINDER), "bilinear", "zeros"),
+    "panini": (torch.float64, (1, 2), True, 1, 1, None, (KB, PANINI), "bilinear", "zeros"),
+    "distort_panini": (torch.float32, (2, 3), False, 1, 2, 1, (PANINI, KB), "bilinear", "border"),
     "empty_batch": (torch.float32, (0, 3), False, 1, 1, 1, (KB, PINHOLE), "bilinear", "zeros"),
     "no_channels": (torch.float32, (2, 0), False, 1, 1, None, (KB, PINHOLE), "bilinear", "zeros"),
 }
@@ -56,9 +59,12 @@ def sample_arguments(name, grad):
     dtype, shape, channels_last, lenses, views, rotations, models, interpolation, padding = SAMPLES[name]
     grad = grad and dtype.is_floating_point
     params_dtype = torch.float64 if dtype == torch.float64 else torch.float32
+    of_view = lambda count, *more: torch.tensor([[*VIEW.params, *more]], dtype=params_dtype).repeat(count, 1)  # noqa: E731
     of_model = {
         KB: lambda count: LENSES[:count].to(params_dtype),
-        PINHOLE: lambda count: torch.from_numpy(VIEW.params).to(params_dtype).repeat(count, 1),
+        PINHOLE: of_view,
+        CYLINDER: of_view,
+        PANINI: lambda count: of_view(count, 0.8),
     }
     image = noise(*shape, *SIZE, dtype=dtype)
     image = image.contiguous(memory_format=torch.channels_last) if channels_last else image
