@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
+from ..baselines import bukhari
 from ..cameras import FisheyeCamera, PinholeCamera
 from ..lens_chart import camera_from_chart, population
 from ..numpy import rectify
@@ -68,10 +69,12 @@ METHODS: dict[str, Callable[[], Method]] = {
     "lines": lambda: lines,
     "network": lambda: _one_call(False),
     "ours": lambda: _one_call(True),
+    "bukhari": lambda: bukhari.estimate,
     "oracle": lambda: oracle,
 }
 """What `fisheyerec evaluate --method` knows: names and how to make the method, which may load weights. "network" is the
-shipped one alone, "ours" the one call: network, then refinement on lines."""
+shipped one alone, "ours" the one call: network, then refinement on lines. Those of baselines/ bear their authors'
+names."""
 
 
 def load_methods(names: Iterable[str]) -> dict[str, Method]:
