@@ -15,6 +15,7 @@ here is Taubin's (1991), then Levenberg-Marquardt on d (Chernov and Lesort, "Lea
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,17 +63,22 @@ def find_chains(image: np.ndarray) -> tuple[Pieces, float]:
     Returns:
         chains in the coordinates of `Arcs`, and a pixel of the picture they were found in, in the same units.
     """
-    pieces, (rows, columns) = find_pieces(image)
-    height, width = image.shape[:2]
-    scaled = [pixel.scale(pieces.points[:, 0], width / columns), pixel.scale(pieces.points[:, 1], height / rows)]
-    return Pieces(normalise(np.stack(scaled, -1), (height, width)), pieces.starts), 2 / float(np.hypot(rows, columns))
+    pieces, size = find_pieces(image)
+    points = normalise(pieces.points, size, (image.shape[0], image.shape[1]))
+    return Pieces(points, pieces.starts), 1 / half_diagonal(size)
 
 
-def normalise(points: np.ndarray, image_size: tuple[int, int]) -> np.ndarray:
-    """Give pixels (N, 2) relative to the picture's centre in units of its half diagonal."""
-    height, width = image_size
-    centre = np.array([pixel.centre(width), pixel.centre(height)])
-    return np.asarray((points - centre) * (2 / np.hypot(height, width)))
+def normalise(points: np.ndarray, size: tuple[int, int], image_size: tuple[int, int]) -> np.ndarray:
+    """Give points (N, 2), in pixels of a copy of some (height, width) of a picture, the coordinates of `Arcs`."""
+    (rows, columns), (height, width) = size, image_size
+    scaled = [pixel.scale(points[:, 0], width / columns), pixel.scale(points[:, 1], height / rows)]
+    centre = (pixel.centre(width), pixel.centre(height))
+    return np.asarray((np.stack(scaled, -1) - centre) / half_diagonal(image_size))
+
+
+def half_diagonal(image_size: tuple[int, int]) -> float:
+    """Give the unit of the coordinates of `Arcs`, in pixels."""
+    return math.hypot(*image_size) / 2
 
 
 def find_arcs(

@@ -28,7 +28,7 @@ import numpy as np
 from .. import pixel
 from ..cameras import FisheyeCamera
 from ..sightlines import Pieces
-from .arcs import power
+from .arcs import half_diagonal, power
 
 STRENGTH_MIN, STRENGTH_MAX = 0.01, 1.5
 """From a corner that moves by a ten-thousandth to a lens that sees 225 degrees across the diagonal."""
@@ -75,7 +75,7 @@ class DivisionModel:
             The camera; its `fit_error_px` is the largest distance between both within the picture.
         """
         height, width = image_size
-        unit = math.hypot(height, width) / 2
+        unit = half_diagonal(image_size)
         corners = np.array([(x * width, y * height) for x in (-1, 1) for y in (-1, 1)]) / (2 * unit)
         farthest = float(np.linalg.norm(corners - self.centre, axis=-1).max())
         focal, m2 = min(_WIDEST_FOCAL, 1 / (2 * self.strength)), self.strength**2
@@ -237,3 +237,15 @@ def _distances(
     of_points = tangents[owners]
     by_normal = (v[:, :, None] * of_points).sum(1) + (d * d * m / 2)[:, None] * of_points[:, 2]
     return d, np.concatenate([by_centre, by_square[:, None]], -1) / q[:, None], by_normal / q[:, None], tangents
+
+
+def refine_stepwise(model: DivisionModel, pieces: Pieces, *, cut: float = math.inf) -> DivisionModel | None:
+    """Refine the strength about the picture's centre, then the centre as well; give what the pieces tell of that.
+
+    None where they hardly tell the strength.
+    """
+    held = refine(DivisionModel(np.zeros(2), model.strength), pieces, cut=cut, free_centre=False)
+    free = refine(held.model, pieces, cut=cut, free_centre=True)
+    if free.tells_centre and free.tells_strength:
+        return free.model
+    return held.model if held.tells_strength else None
