@@ -77,6 +77,8 @@ def estimate(image: np.ndarray) -> FisheyeCamera | None:
         return None
     p = DISTORTIONS[best]
     pieces = points_of_lines(edges, undistorted(edges, p), voted[best])
+    if not len(pieces):
+        return None
     start = DivisionModel(np.zeros(2), float(clipped(np.sqrt(p / (1 + p)))))
     model = refine_stepwise(start, pieces)
     return None if model is None else model.camera((image.shape[0], image.shape[1]))

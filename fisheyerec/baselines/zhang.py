@@ -9,9 +9,9 @@ times the mean of min(d^2 / t^2, 1) over its points' distances d from the circle
 the shorter one's length times a factor if labelled differently, are arcs whose ends are near and point at each other.
 Circles are fitted anew to their arcs and labelled again. The camera on the unit sphere that the article takes three
 arcs through is the stereographic one, whose lines are circles indeed: the division model, with its focal length and
-principal point. The three are those whose model the others support best; the principal point is
-kept only where it is known better than lenses are off centre anyway, else the strength alone is told about the
-picture's centre. The last step is not a general minimiser's, as lines are eliminated and three unknowns remain.
+principal point. The three are those whose model the others support best; the principal point is kept only where it is
+known better than lenses are off centre anyway, else the strength alone is told, about the picture's centre. The last
+step is not Levenberg and Marquardt's but Gauss-Newton's, with lines eliminated: three unknowns remain.
 """
 
 from __future__ import annotations
