@@ -39,6 +39,7 @@ CONTENDERS = {
     "cv2_undistort": "cv2.fisheye.undistortImage",
     "bilinear": "fisheyerec, bilinear instead of nearest",
     "one_thread": "fisheyerec on one thread",
+    "on_the_fly": "fisheyerec, `rectify` instead of a ready `Plan`",
     "rectify": "fisheyerec, rectify instead of distort",
     "clone": "the floor: a copy of the picture",
 }
@@ -172,7 +173,7 @@ def pictures(height: int, width: int, threads: int) -> Contenders:
     picture = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8), (0, 0), 2)
     fisheye, view = cameras(height, width)
     K, D = fisheye.to_opencv()
-    fixed_maps = cv2.fisheye.initUndistortRectifyMap(K, D, np.eye(3), view.to_matrix(), (width, height), cv2.CV_16SC2)
+    fixed_maps = cv2_maps(fisheye, view, cv2.CV_16SC2)
     ours = fr.numpy.rectify(picture, fisheye, view).image
     theirs = cv2.remap(picture, *fixed_maps, cv2.INTER_LINEAR)
     assert np.abs(ours.astype(int) - theirs).mean() < 0.5, "the op disagrees with OpenCV"
@@ -183,6 +184,24 @@ def pictures(height: int, width: int, threads: int) -> Contenders:
             picture, K, D, Knew=view.to_matrix(), new_size=(width, height)
         ),
         "clone": picture.copy,
+    }
+
+
+def repeated_frames(height: int, width: int, threads: int) -> Contenders:
+    """Compare a plan for frames of one camera with rectifying each anew."""
+    picture = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8), (0, 0), 2)
+    fisheye, view = cameras(height, width)
+    plan = fr.numpy.Plan(fisheye, view, threads=threads)
+    fixed_maps = cv2_maps(fisheye, view, cv2.CV_16SC2)
+
+    def on_the_fly() -> np.ndarray:
+        return fr.numpy.rectify(picture, fisheye, view, threads=threads).image
+
+    assert np.array_equal(plan(picture).image, on_the_fly()), "the plan disagrees with the op"
+    return {
+        "op": lambda: plan(picture),
+        "on_the_fly": on_the_fly,
+        "cv2_remap": lambda: cv2.remap(picture, *fixed_maps, cv2.INTER_LINEAR),
     }
 
 
@@ -234,8 +253,7 @@ def grey_level_errors(height: int, width: int) -> list[dict[str, object]]:
     picture = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8), (0, 0), 1)
     picture = cv2.normalize(picture, None, 0, 255, cv2.NORM_MINMAX)
     fisheye, view = cameras(height, width)
-    K, D = fisheye.to_opencv()
-    fixed_maps = cv2.fisheye.initUndistortRectifyMap(K, D, np.eye(3), view.to_matrix(), (width, height), cv2.CV_16SC2)
+    fixed_maps = cv2_maps(fisheye, view, cv2.CV_16SC2)
     exact, valid = fr.numpy.rectify(picture.astype(np.float64), fisheye, view)
     results = {
         "op": fr.numpy.rectify(picture, fisheye, view).image,
@@ -301,11 +319,13 @@ def maps(source: fr.cameras.Camera, target: fr.cameras.Camera) -> tuple[np.ndarr
     return np.ascontiguousarray(out[..., 0]), np.ascontiguousarray(out[..., 1])
 
 
-def cv2_maps(source: fr.cameras.Camera, target: fr.cameras.Camera) -> tuple[np.ndarray, np.ndarray]:
+def cv2_maps(
+    source: fr.cameras.Camera, target: fr.cameras.Camera, kind: int = cv2.CV_32FC1
+) -> tuple[np.ndarray, np.ndarray]:
     """Let OpenCV make the maps of a rectification."""
     height, width = target.image_size
     K, D = source.to_opencv()
-    return cv2.fisheye.initUndistortRectifyMap(K, D, np.eye(3), target.to_matrix(), (width, height), cv2.CV_32FC1)
+    return cv2.fisheye.initUndistortRectifyMap(K, D, np.eye(3), target.to_matrix(), (width, height), kind)
 
 
 TENSOR_SHAPES = [(1, 3, 256, 256), (8, 3, 256, 256), (8, 64, 256, 256), (2, 150, 256, 256), (1, 3, 1080, 1920)]
@@ -332,6 +352,8 @@ def rows(threads: int) -> list[Row]:
     add_tensors(large, "contiguous", "distort")
     for picture in PICTURE_SIZES:
         add("forward", (*picture, 3), "uint8", "HWC", "rectify", pictures, *picture, threads)
+    for picture in [(480, 640), *PICTURE_SIZES]:
+        add("repeated frames", (*picture, 3), "uint8", "HWC", "rectify", repeated_frames, *picture, threads)
     for dtype in ("uint8", "int64"):
         add("forward, nearest", size, dtype, "HW", "rectify", nearest_labels, *size, dtype, threads)
     add("forward, directions", large, "float32", "contiguous", "distort", both_directions, *size)
@@ -398,6 +420,8 @@ def goals() -> list[Goal]:
         row = f"rectify, forward | uint8 ({height}, {width}, 3) | HWC"
         listed.append(Goal(f"uint8 RGB {height}p against remap with ready maps", row, "cv2_remap", "op", 2))
         listed.append(Goal(f"uint8 RGB {height}p against undistortImage", row, "cv2_undistort", "op", 20))
+        row = f"rectify, repeated frames | uint8 ({height}, {width}, 3) | HWC"
+        listed.append(Goal(f"a plan for frames of {height}p against on the fly", row, "on_the_fly", "op", 1))
     for dtype in ("uint8", "int64"):
         row = f"rectify, forward, nearest | {dtype}"
         listed.append(Goal(f"nearest {dtype} against bilinear uint8", row, "bilinear", "op", 1))

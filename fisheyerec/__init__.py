@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .network import FishEyeRecNet
     from .rectification import DistortionRectification, Rectification, distort, rectify, resample
     from .rectifier import PhotoEstimate, PhotoRectification, Rectifier
+    from .views import view_for, view_rotation
 
 _HOME = {
     "FisheyeCamera": "cameras",
@@ -29,6 +30,8 @@ _HOME = {
     "rectify": "rectification",
     "resample": "rectification",
     "backend_for": "_ops",
+    "view_for": "views",
+    "view_rotation": "views",
 }
 
 __all__ = [
@@ -44,6 +47,8 @@ __all__ = [
     "distort",
     "rectify",
     "resample",
+    "view_for",
+    "view_rotation",
 ]
 
 

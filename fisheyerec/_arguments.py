@@ -22,12 +22,17 @@ class Names(NamedTuple):
 RECTIFY = Names("rectify", "image", "camera", "view")
 DISTORT = Names("distort", "picture", "view", "camera")
 RESAMPLE = Names("resample", "image", "source", "target")
+PLAN = Names("Plan", "image", "source", "target")
 
 
-def check_options(function: str, interpolation: str, padding: str) -> None:
-    """Raise ValueError unless both names are known."""
+def check_interpolation(function: str, interpolation: str) -> None:
+    """Raise ValueError unless the name is known."""
     if interpolation not in INTERPOLATIONS:
         raise ValueError(f"{function}(): expected interpolation in {INTERPOLATIONS}, got {interpolation!r}")
+
+
+def check_padding(function: str, padding: str) -> None:
+    """Raise ValueError unless the name is known."""
     if padding not in PADDINGS:
         raise ValueError(f"{function}(): expected padding in {PADDINGS}, got {padding!r}")
 

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from . import pixel
+from . import lens_models, pixel
 from .camera_files import CameraFile, read_camera_file, write_camera_file
+from .camera_files.record import checked
 
 if TYPE_CHECKING:
     import torch
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
 
 # The widest view that `PinholeCamera.edge_matched` gives is 120 degrees: beyond, a pinhole picture is mostly stretch.
 EDGE_MATCHED_THETA_MAX = math.radians(60)
+
+# How far off a lens of another model may be where it is fitted worst, commonly in a corner, where calibrations are
+# themselves no better: those of one camera in four models differ there by 1 to 26 px (tests/test_lens_models.py).
+MAX_FIT_ERROR_PX = 1.0
 
 
 def is_tensor(value: object) -> bool:
@@ -77,21 +82,29 @@ class Camera:
             ValueError: the file is not such a lens file, or holds another camera model.
             OSError: the file cannot be read.
         """
-        file = read_camera_file(path, image_size=image_size)
+        return cls._from_file(path, read_camera_file(path, image_size=image_size), MAX_FIT_ERROR_PX)
+
+    @classmethod
+    def _from_file(cls, path: str | os.PathLike[str], file: CameraFile, max_fit_error_px: float) -> Self:
         if file.model != cls.model:
             raise ValueError(f"{cls.__name__}.load(): expected a {cls.model} camera in {path}, got {file.model}")
         return cls(np.array(file.params), (file.height, file.width))
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the camera to a house file, JSON or YAML by the suffix.
+    def save(self, path: str | os.PathLike[str], *, format: str = "fisheyerec") -> None:
+        """Write the camera to a lens file, whole or not at all.
+
+        Args:
+            path: the file, with a suffix that the format has.
+            format: "fisheyerec" (.json or .yaml, exact to the last bit), "opencv", "kalibr", "colmap", "gyroflow" or
+                "ros".
 
         Raises:
-            ValueError: a batch of cameras, or another suffix.
+            ValueError: a batch of cameras, an unknown format or another suffix.
             OSError: the file cannot be written; an older file is left as it was.
         """
         values = self._single("save").tolist()
         height, width = self.image_size
-        write_camera_file(path, CameraFile(self.model, width, height, tuple(values)))
+        write_camera_file(path, CameraFile(self.model, width, height, tuple(values)), format=format)
 
     def project(self, rays: Any) -> tuple[Any, Any]:
         """Project rays into the image.
@@ -169,7 +182,7 @@ class Camera:
             [fx * factor, fy * factor, pixel.scale(cx, factor), pixel.scale(cy, factor), *k], (height, width)
         )
 
-    def crop(self, x0: int, y0: int, image_size: tuple[int, int]) -> Self:
+    def crop(self, x0: float, y0: float, image_size: tuple[int, int]) -> Self:
         """Give the camera of the part of the picture whose upper left pixel is (x0, y0); it may reach outside."""
         fx, fy, cx, cy, *k = self._columns()
         return self._with([fx, fy, cx - x0, cy - y0, *k], image_size)
@@ -215,7 +228,40 @@ class FisheyeCamera(Camera):
     parameter_names = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
 
     fit_error_px: float | None = None
-    """The largest error of a fitted camera (`from_projection`) against the ideal projection; None otherwise."""
+    """The largest error of a fitted camera against what it was fitted to; None for one that was not fitted."""
+
+    fit_rms_px: float | None = None
+    """The root mean square error over the picture of a camera that `from_model` fitted; None otherwise."""
+
+    @classmethod
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        image_size: tuple[int, int] | None = None,
+        max_fit_error_px: float = MAX_FIT_ERROR_PX,
+    ) -> Self:
+        """Read a fisheye camera from a lens file of any format, fitting one where the lens is of another model.
+
+        Args:
+            path: the file: of the house (JSON or YAML), OpenCV, ROS, kalibr, COLMAP, gyroflow, OCamCalib or camodocal.
+            image_size: (height, width), needed where the format does not hold it.
+            max_fit_error_px: the largest error of the fit that is taken, as in `from_model`.
+
+        Returns:
+            The camera; its `fit_error_px` and `fit_rms_px` are None where the file holds this very model.
+
+        Raises:
+            ValueError: the file is not such a lens file, or holds a pinhole or a lens that cannot be fitted so well.
+            OSError: the file cannot be read.
+        """
+        return cls._from_file(path, read_camera_file(path, image_size=image_size), max_fit_error_px)
+
+    @classmethod
+    def _from_file(cls, path: str | os.PathLike[str], file: CameraFile, max_fit_error_px: float) -> Self:
+        if file.model not in lens_models.MODELS:
+            return super()._from_file(path, file, max_fit_error_px)
+        return cls._fitted(f"{cls.__name__}.load(): {os.fspath(path)!r}", file, max_fit_error_px)
 
     @property
     def theta_max(self) -> Any:
@@ -321,6 +367,57 @@ class FisheyeCamera(Camera):
         theta = np.linspace(0, half_fov, 2001)
         theta_d = sum(c * theta ** (2 * i + 1) for i, c in enumerate([1, *k]))
         camera.fit_error_px = float(np.abs(f * theta_d - radius(theta) * (width / 2) / radius(half_fov)).max())
+        return camera
+
+    @classmethod
+    def from_model(
+        cls,
+        model: str,
+        params: Sequence[float],
+        image_size: tuple[int, int],
+        *,
+        max_fit_error_px: float = MAX_FIT_ERROR_PX,
+    ) -> Self:
+        """Fit a Kannala-Brandt camera to a lens of another model, over the rays that its picture's pixels see.
+
+        Args:
+            model: "brown_conrady", "unified", "extended_unified", "double_sphere", "division", "field_of_view",
+                "thin_prism_fisheye" or "ocam"; their equations and sources are in lens_models.py. A turn about the
+                optical axis that an ocam lens holds is one of its frame, and left out.
+            params: the model's parameters, as `camera_files.record.PARAMETERS` names them.
+            image_size: (height, width).
+            max_fit_error_px: the largest error that is taken.
+
+        Returns:
+            A camera; its `fit_error_px` is the largest distance between where both lenses see a ray of the picture,
+            its `fit_rms_px` the root mean square.
+
+        Raises:
+            ValueError: an unknown model, another number of parameters, or a lens that cannot be fitted so well.
+        """
+        where = f"{cls.__name__}.from_model()"
+        if model not in lens_models.MODELS:
+            raise ValueError(f"{where}: expected model in {sorted(lens_models.MODELS)}, got {model!r}")
+        height, width = _checked_image_size(cls, image_size)
+        try:
+            file = checked(model, width, height, params)
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from None
+        return cls._fitted(where, file, max_fit_error_px)
+
+    @classmethod
+    def _fitted(cls, where: str, file: CameraFile, max_fit_error_px: float) -> Self:
+        try:
+            fitted = lens_models.fit(file.model, file.params, (file.height, file.width))
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from None
+        if not fitted.max_error_px <= max_fit_error_px:
+            raise ValueError(
+                f"{where}: expected a {file.model} lens that kannala_brandt fits within {max_fit_error_px:g} px "
+                f"(max_fit_error_px), got {fitted.max_error_px:.3g} px at most and {fitted.rms_error_px:.3g} px RMS"
+            )
+        camera = cls(fitted.params, (file.height, file.width))
+        camera.fit_error_px, camera.fit_rms_px = fitted.max_error_px, fitted.rms_error_px
         return camera
 
 
@@ -433,11 +530,16 @@ class PinholeCamera(Camera):
         return cls(xp.stack([focal, focal, pixel.centre(width) * one, pixel.centre(height) * one], -1), image_size)
 
 
-def load_camera(path: str | os.PathLike[str], *, image_size: tuple[int, int] | None = None) -> Camera:
-    """Read a camera of whichever model a lens file holds; arguments and errors as in `Camera.load`."""
+def load_camera(
+    path: str | os.PathLike[str],
+    *,
+    image_size: tuple[int, int] | None = None,
+    max_fit_error_px: float = MAX_FIT_ERROR_PX,
+) -> Camera:
+    """Read a pinhole or a fisheye camera, whichever a lens file holds; the rest is as in `FisheyeCamera.load`."""
     file = read_camera_file(path, image_size=image_size)
-    models: dict[str, type[Camera]] = {c.model: c for c in (FisheyeCamera, PinholeCamera)}
-    return models[file.model](np.array(file.params), (file.height, file.width))
+    kind: type[Camera] = PinholeCamera if file.model == PinholeCamera.model else FisheyeCamera
+    return kind._from_file(path, file, max_fit_error_px)
 
 
 def _checked_matrix(where: str, K: Any) -> Any:

@@ -8,14 +8,17 @@ import numpy as np
 
 from ._arguments import (
     DISTORT,
+    PLAN,
     RECTIFY,
     RESAMPLE,
     Names,
     check_camera,
     check_interpolates,
-    check_options,
+    check_interpolation,
+    check_padding,
     check_size,
 )
+from ._numpy import Plan as _KeptCoordinates
 from ._numpy import resample as _resample_channels
 from .cameras import Camera, FisheyeCamera
 
@@ -45,7 +48,7 @@ def rectify(
         image: (H, W) or (H, W, C), uint8 or floating; nearest takes integers as well. Any strides.
         camera: the fisheye camera, of image size (H, W).
         view: the view to make, of image size (h, w).
-        rotation: (3, 3) camera_from_view, turning the view (pan, tilt, roll); None for none.
+        rotation: (3, 3) camera_from_view, turning the view, as `view_rotation` gives it; None for none.
         interpolation: "bilinear" or "nearest" (labels).
         padding: what lies outside the picture: "zeros" or "border".
         threads: how many threads; None for OpenMP's default (OMP_NUM_THREADS).
@@ -105,6 +108,75 @@ def resample(
     return _resample(RESAMPLE, image, source, target, source_from_target, interpolation, padding, threads)
 
 
+class Plan:
+    """The same cameras for picture after picture (video): the bits of `resample`, without the lens each time.
+
+    Keeps where each target pixel lies in the source, 8 bytes a pixel, and the mask. `Plan(camera, view)(frame)` is
+    `rectify(frame, camera, view)`; `Plan(view, camera)(picture)` is `distort(picture, view, camera)`.
+    """
+
+    def __init__(
+        self,
+        source: Camera,
+        target: Camera,
+        *,
+        source_from_target: Any = None,
+        padding: str = "zeros",
+        threads: int | None = None,
+    ) -> None:
+        """Plan for one pair of cameras.
+
+        Args:
+            source: the camera that takes the pictures, of image size (H, W).
+            target: the camera to see them through, of image size (h, w).
+            source_from_target: (3, 3) rotation of the target's rays into the source's frame; None for none.
+            padding: "zeros" or "border".
+            threads: how many threads, now and for each picture; None for OpenMP's default (OMP_NUM_THREADS).
+
+        Raises:
+            TypeError, ValueError: as `resample`.
+        """
+        check_padding(PLAN.function, padding)
+        rotation = _check_cameras(PLAN, source, target, source_from_target)
+        _check_threads(PLAN, threads)
+        self.source, self.target, self._threads = source, target, threads or 0
+        self._coordinates = _KeptCoordinates(
+            source.model,
+            source.numpy().params,
+            *source.image_size,
+            target.model,
+            target.numpy().params,
+            *target.image_size,
+            rotation,
+            padding,
+            self._threads,
+        )
+        self.valid = self._coordinates.valid()
+        """(h, w) bool, the same for every picture; read-only."""
+        self.valid.flags.writeable = False
+
+    def __call__(self, image: np.ndarray, *, interpolation: str = "bilinear") -> Resampled:
+        """Resample one picture.
+
+        Args:
+            image: (H, W) or (H, W, C), uint8, float16 or float32; nearest takes integers as well. Any strides.
+            interpolation: "bilinear" or "nearest" (labels).
+
+        Returns:
+            image (h, w) or (h, w, C), and `valid`.
+
+        Raises:
+            TypeError: an argument of another type.
+            ValueError: another shape, dtype or name; float64, which `resample` computes in float64.
+        """
+        channels = _as_channels(PLAN, image, interpolation)
+        if image.dtype == np.float64:
+            raise ValueError("Plan(): expected image of uint8, float16 or float32, got float64; resample() takes it")
+        check_size(PLAN, image.shape[:2], self.source)
+        out = self._coordinates.resample(channels, interpolation, self._threads)
+        return Resampled(out.reshape(*self.target.image_size, *image.shape[2:]), self.valid)
+
+
 def _resample(
     names: Names,
     image: np.ndarray,
@@ -115,27 +187,11 @@ def _resample(
     padding: str,
     threads: int | None,
 ) -> Resampled:
-    function = names.function
-    if not isinstance(image, np.ndarray):
-        raise TypeError(f"{function}(): expected {names.image} as a NumPy array, got {type(image).__name__}")
-    if image.ndim not in (2, 3) or 0 in image.shape:
-        raise ValueError(f"{function}(): expected {names.image} of shape (H, W) or (H, W, C), got {image.shape}")
-    if image.dtype.kind not in "biuf" or image.dtype.itemsize > 8 or not image.dtype.isnative:
-        raise ValueError(f"{function}(): expected {names.image} of a floating or integer dtype, got {image.dtype}")
-    check_options(function, interpolation, padding)
-    check_interpolates(names, image.dtype.kind == "f" or image.dtype == np.uint8, interpolation, image.dtype)
-    for name, camera in ((names.source, source), (names.target, target)):
-        check_camera(function, name, camera)
-        if camera.params.ndim != 1:
-            raise ValueError(f"{function}(): expected one {name}, got a batch of {camera.params.shape[0]}")
+    check_padding(names.function, padding)
+    channels = _as_channels(names, image, interpolation)
+    rotation = _check_cameras(names, source, target, source_from_target)
     check_size(names, image.shape[:2], source)
-    if source_from_target is not None:
-        source_from_target = _rotation(function, source_from_target)
-    if threads is not None and not (isinstance(threads, int) and threads >= 1):
-        raise ValueError(f"{function}(): expected threads of at least 1, as an integer, got {threads!r}")
-    if any(stride % image.itemsize for stride in image.strides):  # a field of a record array
-        image = image.copy()
-    channels = image if image.ndim == 3 else image[..., None]
+    _check_threads(names, threads)
     height, width = target.image_size
     out, valid = _resample_channels(
         channels,
@@ -143,7 +199,7 @@ def _resample(
         source.numpy().params,
         target.model,
         target.numpy().params,
-        source_from_target,
+        rotation,
         height,
         width,
         interpolation,
@@ -151,6 +207,36 @@ def _resample(
         threads or 0,
     )
     return Resampled(out.reshape(height, width, *image.shape[2:]), valid)
+
+
+def _as_channels(names: Names, image: np.ndarray, interpolation: str) -> np.ndarray:
+    """Give the picture as (H, W, C), its strides as they are."""
+    function = names.function
+    if not isinstance(image, np.ndarray):
+        raise TypeError(f"{function}(): expected {names.image} as a NumPy array, got {type(image).__name__}")
+    if image.ndim not in (2, 3) or 0 in image.shape:
+        raise ValueError(f"{function}(): expected {names.image} of shape (H, W) or (H, W, C), got {image.shape}")
+    if image.dtype.kind not in "biuf" or image.dtype.itemsize > 8 or not image.dtype.isnative:
+        raise ValueError(f"{function}(): expected {names.image} of a floating or integer dtype, got {image.dtype}")
+    check_interpolation(function, interpolation)
+    check_interpolates(names, image.dtype.kind == "f" or image.dtype == np.uint8, interpolation, image.dtype)
+    if any(stride % image.itemsize for stride in image.strides):  # a field of a record array
+        image = image.copy()
+    return image if image.ndim == 3 else image[..., None]
+
+
+def _check_cameras(names: Names, source: Camera, target: Camera, source_from_target: Any) -> np.ndarray | None:
+    """Give the rotation as (3, 3) numbers."""
+    for name, camera in ((names.source, source), (names.target, target)):
+        check_camera(names.function, name, camera)
+        if camera.params.ndim != 1:
+            raise ValueError(f"{names.function}(): expected one {name}, got a batch of {camera.params.shape[0]}")
+    return None if source_from_target is None else _rotation(names.function, source_from_target)
+
+
+def _check_threads(names: Names, threads: int | None) -> None:
+    if threads is not None and not (isinstance(threads, int) and threads >= 1):
+        raise ValueError(f"{names.function}(): expected threads of at least 1, as an integer, got {threads!r}")
 
 
 def _rotation(function: str, rotation: Any) -> np.ndarray:

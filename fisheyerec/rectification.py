@@ -16,7 +16,8 @@ from ._arguments import (
     Names,
     check_camera,
     check_interpolates,
-    check_options,
+    check_interpolation,
+    check_padding,
     check_size,
 )
 from .cameras import Camera, FisheyeCamera
@@ -64,7 +65,8 @@ def rectify(
             B = 1 is repeated for a batch of cameras or views.
         camera: the fisheye camera, of image size (H, W); one, or one for each image.
         view: the view to make, of image size (h, w); one, or one for each image.
-        rotation: (3, 3) or (B, 3, 3), camera_from_view: turns the view's rays into the camera's frame.
+        rotation: (3, 3) or (B, 3, 3), camera_from_view: turns the view's rays into the camera's frame, as
+            `view_rotation` gives it from pan, tilt and roll.
         interpolation: "bilinear" or "nearest" (labels).
         padding: what lies outside the picture: "zeros" or "border".
 
@@ -148,7 +150,8 @@ def _resample(
 ) -> tuple[Tensor, Tensor]:
     function = names.function
     _check_image(names, image)
-    check_options(function, interpolation, padding)
+    check_interpolation(function, interpolation)
+    check_padding(function, padding)
     check_interpolates(names, image.is_floating_point() or image.dtype == torch.uint8, interpolation, image.dtype)
     check_camera(function, names.source, source)
     check_camera(function, names.target, target)
@@ -233,7 +236,8 @@ class DistortionRectification(nn.Module):
     def __init__(self, view: Camera, *, interpolation: str = "bilinear", padding: str = "zeros") -> None:
         super().__init__()
         check_camera("DistortionRectification", "view", view)
-        check_options("DistortionRectification", interpolation, padding)
+        check_interpolation("DistortionRectification", interpolation)
+        check_padding("DistortionRectification", padding)
         self.view_type, self.view_size = type(view), view.image_size
         # Not a buffer: half() and bfloat16() of the model would round the focal length by pixels.
         self.view_params = torch.as_tensor(view.params)

@@ -1,6 +1,7 @@
 #define FISHEYEREC_ISA dispatch_isa
 #include "resample.h"
 
+#include "huge_pages.h"
 #include "parallel.h"
 #include "rows_table.h"
 
@@ -65,12 +66,19 @@ void for_each_band(int64_t batch, int64_t height, int64_t parts, int threads, co
 }
 
 template <class T>
-void resample_as(const Resampling& resampling, const Image& source, const Image& target, uint8_t* valid) {
-  const std::vector<Geometry<T>> geometries = prepare<T>(resampling, target.batch);
-  const ForwardJob<T> job{geometries.data(), source, target, valid, resampling.interpolation, resampling.padding};
-  const int threads = useful_threads(target, resampling.threads);
+void forward_in_bands(const ForwardJob<T>& job, int threads) {
+  const Image& target = job.target;
+  threads = useful_threads(target, threads);
   for_each_band(target.batch, target.height, 8 * threads, threads,
                 [&](int64_t batch, int64_t begin, int64_t end) { row_kernels<T>().forward(job, batch, begin, end); });
+}
+
+template <class T>
+void resample_as(const Resampling& resampling, const Image& source, const Image& target, uint8_t* valid) {
+  const std::vector<Geometry<T>> geometries = prepare<T>(resampling, target.batch);
+  forward_in_bands(
+      ForwardJob<T>{geometries.data(), nullptr, source, target, valid, resampling.interpolation, resampling.padding},
+      resampling.threads);
 }
 
 template <class T>
@@ -139,6 +147,29 @@ void resample(const Resampling& resampling, const Image& source, const Image& ta
   } else {
     resample_as<float>(resampling, source, target, valid);
   }
+}
+
+Plan::Plan(const Resampling& resampling, int64_t source_height, int64_t source_width, int64_t height, int64_t width)
+    : padding_(resampling.padding), valid_(new uint8_t[static_cast<size_t>(height * width)]) {
+  const size_t runs = static_cast<size_t>(runs_in_row(width) * height);
+  kept_.reset(new KeptRun<float>[runs]);
+  ask_for_huge_pages(kept_.get(), runs * sizeof(KeptRun<float>));
+  const auto picture = [](int64_t rows, int64_t columns) {
+    return Image{nullptr, ScalarType::uint8, 1, 1, rows, columns, 0, 0, 0, 0};
+  };
+  const Image source = picture(source_height, source_width), target = picture(height, width);
+  const std::vector<Geometry<float>> geometry = prepare<float>(resampling, 1);
+  const ForwardJob<float> job{geometry.data(),          nullptr,           source, target, valid_.get(),
+                              resampling.interpolation, resampling.padding};
+  const int threads = useful_threads(target, resampling.threads);
+  for_each_band(1, height, 8 * threads, threads,
+                [&](int64_t, int64_t begin, int64_t end) { row_kernels<float>().keep(job, kept_.get(), begin, end); });
+}
+
+Plan::~Plan() = default;
+
+void Plan::resample(const Image& source, const Image& target, Interpolation interpolation, int threads) const {
+  forward_in_bands(ForwardJob<float>{nullptr, kept_.get(), source, target, nullptr, interpolation, padding_}, threads);
 }
 
 void resample_backward(const Resampling& resampling, const Image& source, const Image& grad_target,

@@ -6,6 +6,8 @@
 // interleaved, channels side by side, stride_channel = 1.
 #pragma once
 
+#include <memory>
+
 #include "image.h"
 
 namespace fisheyerec {
@@ -36,6 +38,31 @@ struct Resampling {
 // meets the source image within the source lens' monotonic range. Nearest takes any type; bilinear all but int16 to
 // int64.
 void resample(const Resampling& resampling, const Image& source, const Image& target, uint8_t* valid);
+
+template <class T>
+struct KeptRun;
+
+// The same cameras for picture after picture: keeps where each target pixel lies in the source, 8 bytes a pixel.
+class Plan {
+ public:
+  // For cameras of one image. What resampling points to is read now and not kept.
+  Plan(const Resampling& resampling, int64_t source_height, int64_t source_width, int64_t height, int64_t width);
+  ~Plan();
+  Plan(const Plan&) = delete;
+  Plan& operator=(const Plan&) = delete;
+
+  // What resample() gives for each image of the batch, to the bit; any type but float64. Several threads may call it
+  // at once.
+  void resample(const Image& source, const Image& target, Interpolation interpolation, int threads) const;
+
+  // (height, width), as resample() gives it.
+  const uint8_t* valid() const { return valid_.get(); }
+
+ private:
+  Padding padding_;
+  std::unique_ptr<KeptRun<float>[]> kept_;
+  std::unique_ptr<uint8_t[]> valid_;
+};
 
 // Outgoing gradients of one backward call; null where nobody asked.
 struct Gradients {

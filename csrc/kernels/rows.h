@@ -1,4 +1,4 @@
-// The three loops of the op over rows of one image of the batch. This header is compiled once per instruction set
+// The loops of the op over rows of one image of the batch. This header is compiled once per instruction set
 // (rows_*.cpp), everything in it and below it within that set's own namespace.
 #pragma once
 
@@ -66,22 +66,53 @@ FISHEYEREC_NOINLINE void mark_valid(const Image& source, int count, const S* x, 
   std::memcpy(valid, marks, static_cast<size_t>(count));
 }
 
+// Coordinates of a run of target pixels, and its marks in job.valid. Returns is_interior().
+template <class T>
+FISHEYEREC_INLINE bool map_and_mark_run(const ForwardJob<T>& job, int64_t batch, int64_t row, int64_t column, int count,
+                                        T* x, T* y) {
+  map_run(job.geometries[batch], row, column, count, x, y);
+  const bool interior = is_interior(job.source, count, x, y);
+  uint8_t* valid = job.valid + (batch * job.target.height + row) * job.target.width + column;
+  if (interior) {
+    std::memset(valid, 1, static_cast<size_t>(count));
+  } else {
+    mark_valid(job.source, count, x, y, valid);
+  }
+  return interior;
+}
+
+template <class T>
+void keep_rows(const ForwardJob<T>& job, KeptRun<T>* kept, int64_t row_begin, int64_t row_end) {
+  for_each_run(job.target.width, row_begin, row_end, [&](int64_t row, int64_t column, int count) {
+    KeptRun<T>& run = kept[kept_at(job.target.height, row, column)];
+    run.interior = map_and_mark_run(job, 0, row, column, count, run.x, run.y);
+  });
+}
+
+// The hardware foresees what lies side by side, but not beyond a page, and a run is half of one.
+template <class T>
+FISHEYEREC_INLINE void prefetch_run(const KeptRun<T>* run) {
+  const char* bytes = reinterpret_cast<const char*>(run);
+  for (size_t line = 0; line < sizeof *run; line += 64) __builtin_prefetch(bytes + line);
+}
+
 template <class T>
 void forward_rows(const ForwardJob<T>& job, int64_t batch, int64_t row_begin, int64_t row_end) {
   const Image &source = job.source, &target = job.target;
-  alignas(64) T x[run_length], y[run_length];
+  alignas(64) T mapped_x[run_length], mapped_y[run_length];
+  const T *x = mapped_x, *y = mapped_y;
   Taps<T> taps;
   // sample(source_pixels, target_pixels, count, interior) from x and y.
   const auto for_each_run_of = [&](auto* storage, const auto& sample) {
     using D = std::remove_pointer_t<decltype(storage)>;
     for_each_run(target.width, row_begin, row_end, [&](int64_t row, int64_t column, int count) {
-      map_run(job.geometries[batch], row, column, count, x, y);
-      const bool interior = is_interior(source, count, x, y);
-      uint8_t* valid = job.valid + (batch * target.height + row) * target.width + column;
-      if (interior) {
-        std::memset(valid, 1, static_cast<size_t>(count));
+      bool interior;
+      if (job.kept) {
+        const KeptRun<T>& run = job.kept[kept_at(target.height, row, column)];
+        prefetch_run(&run + 1);
+        x = run.x, y = run.y, interior = run.interior;
       } else {
-        mark_valid(source, count, x, y, valid);
+        interior = map_and_mark_run(job, batch, row, column, count, mapped_x, mapped_y);
       }
       sample(pixels<const D>(source, batch), pixels<D>(target, batch, row, column), count, interior);
     });
@@ -211,7 +242,7 @@ void backward_source_rows(const BackwardJob<T>& job, int64_t batch, int64_t row_
 
 template <class T>
 constexpr RowKernels<T> row_kernels() {
-  return {forward_rows<T>, backward_target_rows<T>, backward_source_rows<T>};
+  return {forward_rows<T>, keep_rows<T>, backward_target_rows<T>, backward_source_rows<T>};
 }
 
 }  // namespace FISHEYEREC_ISA

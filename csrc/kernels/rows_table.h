@@ -5,11 +5,22 @@
 
 namespace fisheyerec {
 
+// What a plan keeps of one run of target pixels.
+template <class T>
+struct KeptRun {
+  alignas(64) T x[run_length], y[run_length];
+  bool interior;  // taps.h
+};
+
+// Where a run is kept: in the order in which runs are walked, down the rows and then to the right.
+inline int64_t kept_at(int64_t height, int64_t row, int64_t column) { return column / run_length * height + row; }
+
 template <class T>
 struct ForwardJob {
-  const Geometry<T>* geometries;  // one per image of the batch
+  const Geometry<T>* geometries;  // one per image of the batch; not read where coordinates are kept
+  const KeptRun<T>* kept;         // of every image alike, or null
   Image source, target;
-  uint8_t* valid;
+  uint8_t* valid;  // not written where coordinates are kept
   Interpolation interpolation;
   Padding padding;
 };
@@ -36,6 +47,8 @@ inline int64_t runs_in_row(int64_t width) { return (width + run_length - 1) / ru
 template <class T>
 struct RowKernels {
   void (*forward)(const ForwardJob<T>&, int64_t batch, int64_t row_begin, int64_t row_end);
+  // Rows of the target of a single image: writes what forward() may read as kept, and valid. No pixel is read.
+  void (*keep)(const ForwardJob<T>&, KeptRun<T>* kept, int64_t row_begin, int64_t row_end);
   // Rows of the target: adds to row_gradients, writes row_ranges.
   void (*backward_target)(const BackwardJob<T>&, int64_t batch, int64_t row_begin, int64_t row_end);
   // Rows of the source, each owned by one call: writes grad_source there; reads row_ranges.

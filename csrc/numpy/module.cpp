@@ -3,6 +3,7 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <memory>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -71,47 +72,112 @@ py::array with_dense_channels(const py::array& image) {
   return dense ? image : py::array::ensure(image, py::array::c_style);
 }
 
-py::tuple resample(const py::array& given_image, const std::string& source_model, const DoubleArray& source,
-                   const std::string& target_model, const DoubleArray& target,
-                   const std::optional<DoubleArray>& source_from_target, int64_t height, int64_t width,
-                   const std::string& interpolation, const std::string& padding, int threads) {
-  if (given_image.ndim() != 3) throw py::value_error("expected an image (height, width, channels)");
-  const py::array image = with_dense_channels(given_image);
+void check_picture(const py::array& image) {
+  if (image.ndim() != 3) throw py::value_error("expected an image (height, width, channels)");
   if (image.shape(0) < 1 || image.shape(1) < 1 || image.shape(0) > fisheyerec::max_size ||
       image.shape(1) > fisheyerec::max_size) {
     throw py::value_error("expected an image with pixels");
   }
+}
+
+void check_size(int64_t height, int64_t width) {
   if (height < 1 || width < 1 || height > fisheyerec::max_size || width > fisheyerec::max_size) {
     throw py::value_error("expected a height and width in [1, 2^30]");
   }
-  if (interpolation != "bilinear" && interpolation != "nearest")
-    throw py::value_error("unknown interpolation " + interpolation);
-  if (padding != "zeros" && padding != "border") throw py::value_error("unknown padding " + padding);
-  const fisheyerec::Image input = as_image(image);
-  const bool nearest = interpolation == "nearest";
+}
+
+int thread_count(int threads) { return threads > 0 ? threads : fisheyerec::default_thread_count(); }
+
+fisheyerec::Interpolation as_interpolation(const std::string& name, const py::array& image) {
+  if (name == "nearest") return fisheyerec::Interpolation::nearest;
+  if (name != "bilinear") throw py::value_error("unknown interpolation " + name);
   const char kind = image.dtype().kind();
-  if (!nearest && kind != 'f' && !(kind == 'u' && image.itemsize() == 1)) {
+  if (kind != 'f' && !(kind == 'u' && image.itemsize() == 1)) {
     throw py::value_error("bilinear expects a floating or uint8 image; use nearest for labels");
   }
+  return fisheyerec::Interpolation::bilinear;
+}
+
+// Points into its arguments.
+fisheyerec::Resampling as_resampling(const std::string& source_model, const DoubleArray& source,
+                                     const std::string& target_model, const DoubleArray& target,
+                                     const std::optional<DoubleArray>& source_from_target,
+                                     fisheyerec::Interpolation interpolation, const std::string& padding, int threads) {
+  if (padding != "zeros" && padding != "border") throw py::value_error("unknown padding " + padding);
   if (source_from_target && source_from_target->size() != 9) throw py::value_error("expected a rotation (3, 3)");
+  return {as_camera(source_model, source),
+          as_camera(target_model, target),
+          source_from_target ? source_from_target->data() : nullptr,
+          0,
+          interpolation,
+          padding == "zeros" ? fisheyerec::Padding::zeros : fisheyerec::Padding::border,
+          thread_count(threads)};
+}
+
+py::tuple resample(const py::array& given_image, const std::string& source_model, const DoubleArray& source,
+                   const std::string& target_model, const DoubleArray& target,
+                   const std::optional<DoubleArray>& source_from_target, int64_t height, int64_t width,
+                   const std::string& interpolation, const std::string& padding, int threads) {
+  check_picture(given_image);
+  check_size(height, width);
+  const py::array image = with_dense_channels(given_image);
+  const fisheyerec::Resampling resampling =
+      as_resampling(source_model, source, target_model, target, source_from_target,
+                    as_interpolation(interpolation, image), padding, threads);
+  const fisheyerec::Image input = as_image(image);
   py::array out(image.dtype(), std::vector<py::ssize_t>{height, width, image.shape(2)});
   py::array_t<bool> valid({height, width});
   const fisheyerec::Image output = as_image(out);
   uint8_t* valid_data = reinterpret_cast<uint8_t*>(valid.mutable_data());
-  const fisheyerec::Resampling resampling{
-      as_camera(source_model, source),
-      as_camera(target_model, target),
-      source_from_target ? source_from_target->data() : nullptr,
-      0,
-      nearest ? fisheyerec::Interpolation::nearest : fisheyerec::Interpolation::bilinear,
-      padding == "zeros" ? fisheyerec::Padding::zeros : fisheyerec::Padding::border,
-      threads > 0 ? threads : fisheyerec::default_thread_count()};
   {
     py::gil_scoped_release release;
     fisheyerec::resample(resampling, input, output, valid_data);
   }
   return py::make_tuple(out, valid);
 }
+
+// fisheyerec::Plan with the sizes it was made for.
+struct Plan {
+  int64_t source_height, source_width, height, width;
+  std::unique_ptr<const fisheyerec::Plan> plan;
+
+  Plan(const std::string& source_model, const DoubleArray& source, int64_t given_source_height,
+       int64_t given_source_width, const std::string& target_model, const DoubleArray& target, int64_t given_height,
+       int64_t given_width, const std::optional<DoubleArray>& source_from_target, const std::string& padding,
+       int threads)
+      : source_height(given_source_height), source_width(given_source_width), height(given_height), width(given_width) {
+    check_size(source_height, source_width);
+    check_size(height, width);
+    const fisheyerec::Resampling resampling =
+        as_resampling(source_model, source, target_model, target, source_from_target,
+                      fisheyerec::Interpolation::bilinear, padding, threads);
+    py::gil_scoped_release release;
+    plan = std::make_unique<const fisheyerec::Plan>(resampling, source_height, source_width, height, width);
+  }
+
+  py::array resample(const py::array& given_image, const std::string& interpolation, int threads) const {
+    check_picture(given_image);
+    if (given_image.shape(0) != source_height || given_image.shape(1) != source_width) {
+      throw py::value_error("expected an image of the size that the plan was made for");
+    }
+    const fisheyerec::Interpolation chosen = as_interpolation(interpolation, given_image);
+    const py::array image = with_dense_channels(given_image);
+    const fisheyerec::Image input = as_image(image);
+    if (input.type == fisheyerec::ScalarType::float64) throw py::value_error("a plan keeps float32 coordinates");
+    py::array out(image.dtype(), std::vector<py::ssize_t>{height, width, image.shape(2)});
+    const fisheyerec::Image output = as_image(out);
+    threads = thread_count(threads);
+    {
+      py::gil_scoped_release release;
+      plan->resample(input, output, chosen, threads);
+    }
+    return out;
+  }
+
+  py::array_t<bool> valid() const {
+    return py::array_t<bool>({height, width}, reinterpret_cast<const bool*>(plan->valid()));
+  }
+};
 
 using PointKernel = void (*)(const fisheyerec::Cameras&, const double*, int64_t, double*, uint8_t*);
 
@@ -132,6 +198,11 @@ py::tuple transform(const std::string& model, const DoubleArray& params, const D
 PYBIND11_MODULE(_numpy, m) {
   m.doc() = "The resampling kernels on NumPy arrays; fisheyerec.numpy is the public face.";
   m.def("resample", &resample);
+  py::class_<Plan>(m, "Plan")
+      .def(py::init<const std::string&, const DoubleArray&, int64_t, int64_t, const std::string&, const DoubleArray&,
+                    int64_t, int64_t, const std::optional<DoubleArray>&, const std::string&, int>())
+      .def("resample", &Plan::resample)
+      .def("valid", &Plan::valid);
   m.def("project", &transform<fisheyerec::project, 3, 2>);
   m.def("unproject", &transform<fisheyerec::unproject, 2, 3>);
   m.def("theta_max", [](const DoubleArray& k) {

@@ -5,15 +5,12 @@
 #include <torch/csrc/stable/tensor.h>
 #include <torch/headeronly/core/ScalarType.h>
 
-#ifdef __linux__
-#include <sys/mman.h>
-#endif
-
 #include <optional>
 #include <string>
 #include <tuple>
 #include <vector>
 
+#include "../kernels/huge_pages.h"
 #include "../kernels/resample.h"
 
 namespace {
@@ -61,23 +58,11 @@ fisheyerec::Image as_image(const Tensor& tensor, const char* op) {
           tensor.size(3),    tensor.stride(0),        tensor.stride(1), tensor.stride(2), tensor.stride(3)};
 }
 
-// Large memory comes fresh from the system, page by page as it is first written; in pages of 4 kB that takes longer
-// than resampling into it. NumPy asks for huge pages by itself, torch does not.
-void ask_for_huge_pages(const Tensor& tensor) {
-#ifdef MADV_HUGEPAGE
-  constexpr uintptr_t page = uintptr_t{1} << 21;
-  const uintptr_t begin = reinterpret_cast<uintptr_t>(tensor.data_ptr());
-  const uintptr_t end = begin + static_cast<uintptr_t>(tensor.numel() * tensor.element_size()),
-                  first = (begin + page - 1) & ~(page - 1);
-  const uintptr_t last = end & ~(page - 1);
-  if (last >= first + 2 * page) madvise(reinterpret_cast<void*>(first), last - first, MADV_HUGEPAGE);  // may be refused
-#endif
-}
-
 Tensor empty(const std::vector<int64_t>& shape, DType dtype, MemoryFormat format = MemoryFormat::Contiguous) {
   const torch::stable::Device cpu(torch::headeronly::DeviceType::CPU);
   const Tensor tensor = torch::stable::empty(shape, dtype, std::nullopt, cpu, std::nullopt, format);
-  ask_for_huge_pages(tensor);
+  fisheyerec::ask_for_huge_pages(tensor.data_ptr(),
+                                 static_cast<size_t>(tensor.numel() * tensor.element_size()));  // NumPy does by itself
   return tensor;
 }
 
