@@ -216,6 +216,8 @@ OTHER_HALVES = {
     ("fisheyerec/cameras.py", "(np.arange(200) + 0.5) / 400"): "Chebyshev nodes",
     ("fisheyerec/reference.py", "torch.floor(sampled + 0.5)"): "rounding half up to grey levels",
     ("fisheyerec/network.py", "nn.Dropout(0.5)"): "the paper's drop-out",
+    ("fisheyerec/baselines/aleman_flores.py", "_ANGLE_STEP_DEG"): "half a degree",
+    ("fisheyerec/baselines/zhang.py", "_NO_LINE"): "half of what a chain off every circle costs",
     ("fisheyerec/training/train.py", "PAPER = TrainingRecipe"): "half of the steps",
 }
 

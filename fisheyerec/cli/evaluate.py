@@ -34,7 +34,7 @@ def evaluate(
             reports.write_csv(csv, evaluation)
         if sheet is not None and evaluation.results:
             reports.write_sheet(sheet, pairs, evaluation)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         raise fail("evaluate", error) from error
     for name, reason in evaluation.skipped.items():
         typer.echo(f"fisheyerec evaluate: skipped {name}: {reason}", err=True)

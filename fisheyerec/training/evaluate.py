@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
+from ..baselines import aleman_flores, bukhari
 from ..cameras import FisheyeCamera, PinholeCamera
 from ..lens_chart import camera_from_chart, population
 from ..numpy import rectify
@@ -62,16 +63,26 @@ def _one_call(refined: bool) -> Method:
     return lambda image: rectifier.estimate(image, refine=refined).camera
 
 
+def _zhang() -> Method:
+    from ..baselines import zhang  # needs scipy, which others do not
+
+    return zhang.estimate
+
+
 METHODS: dict[str, Callable[[], Method]] = {
     "identity": lambda: identity,
     "mean-lens": lambda: mean_lens,
     "lines": lambda: lines,
     "network": lambda: _one_call(False),
     "ours": lambda: _one_call(True),
+    "bukhari": lambda: bukhari.estimate,
+    "zhang": _zhang,
+    "aleman-flores": lambda: aleman_flores.estimate,
     "oracle": lambda: oracle,
 }
 """What `fisheyerec evaluate --method` knows: names and how to make the method, which may load weights. "network" is the
-shipped one alone, "ours" the one call: network, then refinement on lines."""
+shipped one alone, "ours" the one call: network, then refinement on lines. Those of baselines/ bear their authors'
+names."""
 
 
 def load_methods(names: Iterable[str]) -> dict[str, Method]:
@@ -79,6 +90,7 @@ def load_methods(names: Iterable[str]) -> dict[str, Method]:
 
     Raises:
         ValueError: an unknown name.
+        ImportError: a method's extra is not installed.
     """
     names = list(names)
     unknown = [name for name in names if name not in METHODS]
