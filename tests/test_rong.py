@@ -120,16 +120,16 @@ def test_the_label_is_the_nearest_division_model(network):
     r_u = r / (1 + rong.COEFFICIENTS[:, None] * r**2)
     difference = np.log(r_u / r_u[:, -1:]) - np.log(tan / tan[-1])
     label = torch.tensor([np.square(difference).sum(-1).argmin()])
-    assert 0 < label < 400
+    assert 0 < label < 50
     params = torch.as_tensor(camera.params)[None]
-    right = LensClasses(network.classes[label], one_hot(label, 401), network.classes)
+    right = LensClasses(network.classes[label], one_hot(label, 51), network.classes)
     assert losses.classification_loss(right, params, SIZE) < 1e-6
 
 
 def test_a_lens_without_chart_teaches_nothing(network):
     good = torch.as_tensor(fr.FisheyeCamera.from_projection("equidistant", 100, SIZE).params)
     folded = torch.as_tensor(np.array([96.0, 96, 95.5, 95.5, -0.6, 0, 0, 0]))
-    logits = torch.randn(2, 401, generator=torch.Generator().manual_seed(0), requires_grad=True)
+    logits = torch.randn(2, 51, generator=torch.Generator().manual_seed(0), requires_grad=True)
     both = losses.classification_loss(
         LensClasses(network.classes[:2], logits, network.classes), torch.stack([good, folded]), SIZE
     )
@@ -137,7 +137,7 @@ def test_a_lens_without_chart_teaches_nothing(network):
     assert both == alone
     both.backward()
     assert logits.grad[0].abs().sum() > 0
-    assert torch.equal(logits.grad[1], torch.zeros(401))
+    assert torch.equal(logits.grad[1], torch.zeros(51))
     none = losses.classification_loss(LensClasses(network.classes[:1], logits[1:], network.classes), folded[None], SIZE)
     assert none == 0
 
@@ -149,14 +149,14 @@ def test_four_pictures_are_learnt_by_heart():
     torch.manual_seed(0)
     network = rong.RongNetwork()
     pictures = torch.rand(4, 3, 192, 192)
-    params = lens_chart.camera_from_chart(network.classes[[20, 150, 280, 390]], SIZE)
+    params = lens_chart.camera_from_chart(network.classes[[2, 19, 36, 49]], SIZE)
     optimizer = torch.optim.AdamW(network.parameters(), 1e-3)
     for _ in range(20):
         optimizer.zero_grad()
         output = network(pictures, straighten=False)
         losses.classification_loss(output.estimate, params, SIZE).backward()
         optimizer.step()
-    assert output.estimate.logits.argmax(-1).tolist() == [20, 150, 280, 390]
+    assert output.estimate.logits.argmax(-1).tolist() == [2, 19, 36, 49]
     assert torch.equal(output.camera.params, lens_chart.camera_from_chart(output.estimate.chart, SIZE))
 
 
@@ -167,7 +167,7 @@ def test_what_comes_out(network, shape):
     size = shape[-2:]
     assert output.image.shape == shape
     assert output.camera.image_size == size
-    assert output.estimate.logits.shape == (shape[0], 401)
+    assert output.estimate.logits.shape == (shape[0], 51)
     assert output.parsing is output.first_parsing is output.rectified_parsing is None
     assert network(image, straighten=False).image is None
     middle = np.array(size[::-1]) / 2 - 1 / 2
@@ -213,5 +213,5 @@ def test_other_weights_are_called_so(network, tmp_path):
         rong.load(tmp_path / "other.safetensors")
     narrow = network.state_dict() | {"classifier.5.bias": torch.zeros(7)}
     save_file(narrow, tmp_path / "narrow.safetensors")
-    with pytest.raises(ValueError, match=r"expected classifier\.5\.bias of shape \(401,\) in .*narrow\.safetensors"):
+    with pytest.raises(ValueError, match=r"expected classifier\.5\.bias of shape \(51,\) in .*narrow\.safetensors"):
         rong.load(tmp_path / "narrow.safetensors")
