@@ -160,6 +160,15 @@ def test_four_pictures_are_learnt_by_heart():
     assert torch.equal(output.camera.params, lens_chart.camera_from_chart(output.estimate.chart, SIZE))
 
 
+def test_the_classes_begin_in_order():
+    """As evenly spaced as their coefficients: what one picture's features say is one number."""
+    weight = rong.RongNetwork().classifier[-1].weight.detach()
+    steps = weight.diff(dim=0)
+    torch.testing.assert_close(steps, steps[:1].expand_as(steps), atol=1e-6, rtol=0)
+    assert steps[0].abs().max() > 1e-3
+    assert weight.mean(0).abs().max() < 1e-6
+
+
 @pytest.mark.parametrize("shape", [(2, 3, 192, 192), (1, 3, 108, 192), (1, 3, 192, 64)])
 def test_what_comes_out(network, shape):
     image = torch.rand(shape)
