@@ -203,7 +203,7 @@ class Rectifier:
 
     def _look(self, working: np.ndarray) -> tuple[FisheyeCamera, np.ndarray]:
         """Ask the network: the camera of the working copy, and the covariance (8, 8) of its chart."""
-        frame = _frame(working, self.network.longer_side)
+        frame = network_frame(working, self.network.longer_side)
         tensor = torch.from_numpy(frame).permute(2, 0, 1)[None] / 255
         chart, covariance = _ask(self.network, tensor, self.average)
         if not (chart.isfinite().all() and covariance.isfinite().all()):
@@ -306,7 +306,7 @@ def _white(largest: float) -> float:
     return float(2 ** max(8, math.ceil(math.log2(largest + 1))) - 1)
 
 
-def _frame(working: np.ndarray, longer_side: int) -> np.ndarray:
+def network_frame(working: np.ndarray, longer_side: int) -> np.ndarray:
     """Resize a working copy to what the network looks at: (h, w, 3), the shorter side even, so that it has a middle."""
     height, width = (max(2, 2 * round(side * longer_side / max(working.shape[:2]) / 2)) for side in working.shape[:2])
     shrinks = longer_side < max(working.shape[:2])

@@ -109,7 +109,7 @@ def test_a_point_of_the_frame_is_the_same_point_of_the_working_copy(size):
     """A ramp of coordinates, resized as the network sees it, says where each pixel came from."""
     height, width = size
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    seen = module._frame(np.stack([x, y, 0 * x], -1), 192)
+    seen = module.network_frame(np.stack([x, y, 0 * x], -1), 192)
     small = seen.shape[:2]
     points = np.stack(np.meshgrid(np.arange(small[1]), np.arange(small[0])), -1).astype(float)
     eight = fr.FisheyeCamera([100, 100, 0, 0, 0, 0, 0, 0], small)
@@ -122,7 +122,7 @@ def test_a_point_of_the_frame_is_the_same_point_of_the_working_copy(size):
 
 @pytest.mark.parametrize("size", [*SIZES, (16, 1600), (1600, 16)])
 def test_frames_keep_the_shape_within_a_pixel_and_have_a_middle(size):
-    frame = module._frame(np.zeros((*size, 3), np.uint8), 192)
+    frame = module.network_frame(np.zeros((*size, 3), np.uint8), 192)
     assert max(frame.shape[:2]) == 192
     assert all(side % 2 == 0 for side in frame.shape[:2])
     assert abs(min(frame.shape[:2]) - 192 * min(size) / max(size)) <= 1

@@ -6,6 +6,7 @@ picture itself counts as its result: as the identity.
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import time
@@ -16,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
-from ..baselines import aleman_flores, bukhari
+from ..baselines import aleman_flores, bukhari, rong
 from ..cameras import FisheyeCamera, PinholeCamera
 from ..lens_chart import camera_from_chart, population
 from ..numpy import rectify
@@ -73,6 +74,7 @@ METHODS: dict[str, Callable[[], Method]] = {
     "identity": lambda: identity,
     "mean-lens": lambda: mean_lens,
     "lines": lambda: lines,
+    "rong": lambda: functools.partial(rong.estimate, network=rong.load()),
     "network": lambda: _one_call(False),
     "ours": lambda: _one_call(True),
     "bukhari": lambda: bukhari.estimate,
