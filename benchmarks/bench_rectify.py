@@ -10,10 +10,7 @@ from __future__ import annotations
 import argparse
 import ctypes
 import json
-import platform
 import statistics
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -25,6 +22,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from pages import machine, write_between_markers
 from torch.nn.functional import grid_sample, interpolate
 
 import fisheyerec as fr
@@ -458,26 +456,6 @@ def readme_table(records: list[dict[str, object]]) -> str:
             cells = [f"{record[f'{c}_ms']:.3g}" if f"{c}_ms" in record else "" for c in README_COLUMNS]
             lines.append(f"| {title} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
-
-
-def write_between_markers(path: Path, command: str, text: str) -> None:
-    """Replace what lies between `<!-- made by: COMMAND -->` and the next `<!-- end -->`."""
-    before, rest = path.read_text(encoding="utf-8").split(f"<!-- made by: {command} -->\n", 1)
-    after = rest.split("<!-- end -->", 1)[1]
-    path.write_text(f"{before}<!-- made by: {command} -->\n{text}\n<!-- end -->{after}", encoding="utf-8")
-
-
-def machine() -> str:
-    """Name the CPU."""
-    if sys.platform == "linux":
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    if sys.platform == "darwin":
-        return subprocess.run(
-            ["sysctl", "-n", "machdep.cpu.brand_string"], capture_output=True, text=True
-        ).stdout.strip()
-    return platform.processor() or platform.machine()
 
 
 COMMAND = "python benchmarks/bench_rectify.py --threads 2 --page docs/performance.md --readme README.md"

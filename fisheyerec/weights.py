@@ -60,6 +60,15 @@ def load_network(path: str | os.PathLike[str]) -> FishEyeRecNet:
     return network.eval()
 
 
+def read_notes(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read what `save_network` was told to remember; errors as `load_network`."""
+    metadata = _read(path)[1]
+    try:
+        return dict(json.loads(metadata["notes"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"read_notes(): expected a file of save_network, got {os.fspath(path)!r}") from error
+
+
 def fill(network: nn.Module, tensors: Mapping[str, Tensor], origin: str) -> None:
     """Put tensors into a network, strictly, whatever precision they are stored in.
 

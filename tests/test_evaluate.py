@@ -17,8 +17,20 @@ from typer.testing import CliRunner
 import fisheyerec as fr
 from fisheyerec.cli import app
 from fisheyerec.training import metrics, reports
-from fisheyerec.training.evaluate import evaluate_methods, identity, load_methods, oracle, straighten
+from fisheyerec.training.evaluate import (
+    MEASURES,
+    METHODS,
+    Evaluation,
+    evaluate_methods,
+    identity,
+    load_methods,
+    oracle,
+    straighten,
+)
+from fisheyerec.training.judging import judge_folder
 from fisheyerec.training.pairs import MANIFEST, camera_entry, read_manifest, write_png
+from fisheyerec.training.records import HEADER, read_records, write_records
+from fisheyerec.weights import save_network
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 SIZE = (64, 80)
@@ -208,7 +220,9 @@ def test_the_frame_of_every_table(folder):
     assert true["ssim"] > 0.99 > 0.95 > nothing["ssim"]
     assert nothing["displacement_px"] > 2
     assert (nothing["no_estimate"], true["no_estimate"], true["failed"], true["count"]) == (6, 0, 0, 6)
-    assert nothing["kinds"]["equisolid"]["count"] == 3
+    of_kind = nothing["kinds"]["equisolid"]
+    assert of_kind["count"] == 3
+    assert of_kind["intervals"]["psnr"][0] <= of_kind["psnr"] <= of_kind["intervals"]["psnr"][1]
     low, high = nothing["intervals"]["psnr"]
     assert low <= nothing["psnr"] <= high
     json.dumps(evaluation.summary(), allow_nan=False)
@@ -239,6 +253,34 @@ def test_labels_are_straightened_without_mixing():
         assert set(np.unique(straight)) == {0, 3, 200}
 
 
+def test_a_principal_point_that_is_not_told_has_its_price(tmp_path, folder):
+    """The true profile alone: nothing where the principal point is in the middle, its offset and more elsewhere."""
+    assert evaluate_methods(folder, load_methods(["oracle-centred"])).results[0].displacement_px < 1e-9
+    lines = [json.loads(line) for line in (folder / MANIFEST).read_text().splitlines()]
+    for line in lines:
+        line["camera"]["cx"] += 3
+        camera = fr.FisheyeCamera([line["camera"][name] for name in fr.FisheyeCamera.parameter_names], SIZE)
+        line["view"] = camera_entry(fr.PinholeCamera.edge_matched(camera, SIZE))
+    (folder / MANIFEST).write_text("\n".join(map(json.dumps, lines)))
+    for result in evaluate_methods(folder, load_methods(["oracle-centred"])).results:
+        assert result.params[2] == (SIZE[1] - 1) / 2
+        assert result.displacement_px > 2
+        assert {name for name, error in result.parameter_errors.items() if error > 0} <= {"cx"}
+
+
+def test_a_weights_file_is_a_method(folder, tmp_path):
+    network = fr.FishEyeRecNet.compact(scene_parsing=False).eval()
+    save_network(network, tmp_path / "own.safetensors", {})
+    methods = load_methods(["own", "identity"], {"own": tmp_path / "own.safetensors"})
+    picture = np.asarray(Image.open(folder / "f0.png"))
+    estimate = fr.Rectifier.from_pretrained(tmp_path / "own.safetensors").estimate(picture, refine=False)
+    np.testing.assert_array_equal(methods["own"](picture).params, estimate.camera.params)
+    with pytest.raises(ValueError, match="got other"):
+        load_methods(["other"], {"own": tmp_path / "own.safetensors"})
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        load_methods(["own"], {"own": tmp_path / "nowhere.safetensors"})
+
+
 def raises(image):
     raise ZeroDivisionError("no arcs\nat all")
 
@@ -264,24 +306,136 @@ def test_a_picture_that_cannot_be_read_is_skipped_and_named(folder):
     (folder / "f1.png").unlink()
     (folder / "r2.png").write_bytes((folder / "r2.png").read_bytes()[:200])
     write_png(folder / "l3.png", np.zeros((3, 3), np.uint8))
+    write_png(folder / "r4.png", np.zeros((64, 81, 3), np.uint8))
     evaluation = evaluate_methods(folder, {"oracle": oracle})
-    assert list(evaluation.skipped) == ["f1.png", "f2.png", "f3.png"]
+    assert list(evaluation.skipped) == ["f1.png", "f2.png", "f3.png", "f4.png"]
     assert "80x64, got 3x3" in evaluation.skipped["f3.png"]
-    assert [result.picture for result in evaluation.results] == ["f0.png", "f4.png", "f5.png"]
+    assert "80x64, got 81x64" in evaluation.skipped["f4.png"]
+    assert [result.picture for result in evaluation.results] == ["f0.png", "f5.png"]
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 40), (30, 30)])
-def test_tiny_and_uniform_pictures(tmp_path, size):
+def test_tiny_and_uniform_pictures_go_through_every_method(tmp_path, size):
     camera = fr.FisheyeCamera.from_projection("equidistant", 100, size)
     entry = {"fisheye": "a.png", "rectified": "a.png", "labels": None, "camera": camera_entry(camera)}
     entry["view"] = camera_entry(fr.PinholeCamera.edge_matched(camera, size))
     (tmp_path / MANIFEST).write_text(json.dumps(entry) + "\n\n")
     write_png(tmp_path / "a.png", np.full((*size, 3), 128, np.uint8))
-    evaluation = evaluate_methods(tmp_path, load_methods(["identity", "oracle"]))
-    assert len(evaluation.results) == 2
+    evaluation = evaluate_methods(tmp_path, load_methods(METHODS))
+    assert len(evaluation.results) == len(METHODS)
+    assert evaluation.skipped == {}
     assert evaluation.summary()["methods"]["identity"]["psnr"] == 100
+    assert {result.displacement_px for result in evaluation.results if result.params is None} == {
+        evaluation.of("identity")[0].displacement_px
+    }
     json.dumps(evaluation.summary(), allow_nan=False)
     assert "identity" in reports.text_table(evaluation.summary())
+
+
+# --- Records --------------------------------------------------------------------------------------
+
+
+def untimed(path):
+    """A CSV of records without the run times."""
+    with open(path, newline="") as stream:
+        return [{key: value for key, value in row.items() if key != "ms"} for row in csv.DictReader(stream)]
+
+
+@pytest.mark.parametrize("name", ["records.csv", "records.csv.gz"])
+def test_records_come_back(folder, tmp_path, name):
+    evaluation = evaluate_methods(folder, {"identity": identity, "oracle": oracle, "bad": raises})
+    write_records(tmp_path / name, evaluation.results)
+    content = (tmp_path / name).read_bytes()
+    results = read_records(tmp_path / name)
+    write_records(tmp_path / name, results)
+    assert (tmp_path / name).read_bytes() == content
+    for there, back in zip(evaluation.results, results, strict=True):
+        assert (there.picture, there.source, there.kind, there.method, there.error) == (
+            back.picture,
+            back.source,
+            back.kind,
+            back.method,
+            back.error,
+        )
+        assert back.displacement_px == pytest.approx(there.displacement_px, rel=1e-5)
+        assert (back.params is None) == (there.params is None)
+    summaries = [e.summary()["methods"] for e in (evaluation, Evaluation(evaluation.methods, 6, results))]
+    for method in evaluation.methods:
+        for measure in MEASURES:
+            assert summaries[0][method][measure] == pytest.approx(summaries[1][method][measure], rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "got nothing"),
+        ("a,b\n1,2\n", "got a,b"),
+        (HEADER + "f0.png,s0\n", "line 2: "),
+        (HEADER + "," * HEADER.count(",") + "\n" + "x," * HEADER.count(",") + "\n", "line 3: .*float"),
+    ],
+)
+def test_files_that_are_no_records(tmp_path, text, message):
+    (tmp_path / "records.csv").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        read_records(tmp_path / "records.csv")
+    (tmp_path / "records.csv.gz").write_text(text)
+    with pytest.raises(ValueError, match=r"records\.csv\.gz: "):
+        read_records(tmp_path / "records.csv.gz")
+
+
+def test_a_killed_run_goes_on_and_ends_with_the_same_records(folder, tmp_path):
+    whole, resumed = tmp_path / "whole.csv", tmp_path / "resumed.csv"
+    names = ["identity", "oracle"]
+    evaluation = judge_folder(folder, names, whole)
+    assert [(result.picture, result.method) for result in evaluation.results] == [
+        (f"f{i}.png", name) for i in range(6) for name in names
+    ]
+    lines = whole.read_text().splitlines(keepends=True)
+    # two pictures, one method of a third, and a part of the next line
+    resumed.write_text("".join(lines[:6]) + lines[6][:40])
+    seen = []
+    again = judge_folder(folder, names, resumed, jobs=2, on_picture=seen.append)
+    assert resumed.read_text().startswith("".join(lines[:6]))
+    assert untimed(resumed) == untimed(whole)
+    assert seen == [6] * 6
+    assert len(again.results) == 12
+    before = whole.read_bytes()
+    judge_folder(folder, names, whole)
+    assert whole.read_bytes() == before
+
+
+def test_methods_are_added_to_records(folder, tmp_path):
+    records, at_once = tmp_path / "records.csv", tmp_path / "at_once.csv"
+    judge_folder(folder, ["oracle"], records)
+    evaluation = judge_folder(folder, ["identity"], records, limit=2)
+    assert [result.method for result in evaluation.results] == ["identity"] * 2
+    assert len(read_records(records)) == 8
+    judge_folder(folder, ["identity", "oracle"], records)
+    judge_folder(folder, ["identity", "oracle"], at_once)
+    assert untimed(records) == untimed(at_once)
+
+
+def test_what_could_not_be_read_is_tried_again(folder, tmp_path):
+    content = (folder / "f1.png").read_bytes()
+    (folder / "f1.png").unlink()
+    evaluation = judge_folder(folder, ["identity"], tmp_path / "records.csv")
+    assert list(evaluation.skipped) == ["f1.png"]
+    assert (evaluation.count, len(evaluation.results)) == (6, 5)
+    (folder / "f1.png").write_bytes(content)
+    evaluation = judge_folder(folder, ["identity"], tmp_path / "records.csv")
+    assert evaluation.skipped == {}
+    assert [result.picture for result in evaluation.results] == [f"f{i}.png" for i in range(6)]
+
+
+def test_records_of_other_pairs_are_not_mixed(folder, tmp_path):
+    judge_folder(folder, ["identity"], tmp_path / "records.csv", limit=1)
+    manifest = (folder / MANIFEST).read_text()
+    (folder / MANIFEST).write_text(manifest.replace('"source": "s0"', '"source": "s9"'))
+    with pytest.raises(ValueError, match=r"expected records of the same pairs in .*, got f0\.png of other ones"):
+        judge_folder(folder, ["identity"], tmp_path / "records.csv")
+    with pytest.raises(ValueError, match="expected methods out of"):
+        judge_folder(folder, ["magic"], tmp_path / "other.csv")
+    assert not (tmp_path / "other.csv").exists()
 
 
 # --- Manifests ------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ def evaluate(
     """Judge methods that rectify a single picture by a folder of pairs, and print a table."""
     from ..training import reports
     from ..training.evaluate import evaluate_methods, load_methods
+    from ..training.records import write_records
 
     try:
         methods = load_methods(name.strip() for name in method.split(",") if name.strip())
@@ -31,7 +32,7 @@ def evaluate(
         if json is not None:
             reports.write_json(json, evaluation)
         if csv is not None:
-            reports.write_csv(csv, evaluation)
+            write_records(csv, evaluation.results)
         if sheet is not None and evaluation.results:
             reports.write_sheet(sheet, pairs, evaluation)
     except (ValueError, OSError, ImportError) as error:

@@ -10,13 +10,14 @@ import functools
 import math
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
 
+from .. import pixel
 from ..baselines import aleman_flores, bukhari, rong
 from ..cameras import FisheyeCamera, PinholeCamera
 from ..lens_chart import camera_from_chart, population
@@ -42,8 +43,13 @@ def identity(image: np.ndarray) -> FisheyeCamera | None:
 
 
 def oracle(image: np.ndarray) -> FisheyeCamera | None:
-    """Stand for the true camera, which `evaluate_methods` hands over by itself."""
-    raise RuntimeError("oracle(): the true camera is known to evaluate_methods only")
+    """Stand for the true camera, which `judge_pair` hands over by itself."""
+    raise RuntimeError("oracle(): the true camera is known to judge_pair only")
+
+
+def oracle_centred(image: np.ndarray) -> FisheyeCamera | None:
+    """Stand for the true camera with its principal point in the middle: what not telling the principal point costs."""
+    raise RuntimeError("oracle_centred(): the true camera is known to judge_pair only")
 
 
 def mean_lens(image: np.ndarray) -> FisheyeCamera:
@@ -59,8 +65,8 @@ def lines(image: np.ndarray) -> FisheyeCamera | None:
     return refinement.camera if refinement.accepted else None
 
 
-def _one_call(refined: bool) -> Method:
-    rectifier = Rectifier.from_pretrained()
+def _one_call(refined: bool, weights: str | os.PathLike[str] | None = None) -> Method:
+    rectifier = Rectifier.from_pretrained(weights)
     return lambda image: rectifier.estimate(image, refine=refined).camera
 
 
@@ -80,6 +86,7 @@ METHODS: dict[str, Callable[[], Method]] = {
     "bukhari": lambda: bukhari.estimate,
     "zhang": _zhang,
     "aleman-flores": lambda: aleman_flores.estimate,
+    "oracle-centred": lambda: oracle_centred,
     "oracle": lambda: oracle,
 }
 """What `fisheyerec evaluate --method` knows: names and how to make the method, which may load weights. "network" is the
@@ -87,18 +94,26 @@ shipped one alone, "ours" the one call: network, then refinement on lines. Those
 names."""
 
 
-def load_methods(names: Iterable[str]) -> dict[str, Method]:
+def load_methods(
+    names: Iterable[str], weights: Mapping[str, str | os.PathLike[str]] | None = None
+) -> dict[str, Method]:
     """Make the methods of these names.
 
+    Args:
+        names: out of METHODS and of `weights`.
+        weights: networks by another name, each a file that `fisheyerec train` wrote; without the refinement.
+
     Raises:
-        ValueError: an unknown name.
+        ValueError: an unknown name, or a file of another kind.
+        OSError: a weights file cannot be read.
         ImportError: a method's extra is not installed.
     """
     names = list(names)
-    unknown = [name for name in names if name not in METHODS]
+    known = METHODS | {name: functools.partial(_one_call, False, path) for name, path in (weights or {}).items()}
+    unknown = [name for name in names if name not in known]
     if unknown or not names:
-        raise ValueError(f"expected methods out of {', '.join(METHODS)}, got {', '.join(unknown) or 'none'}")
-    return {name: METHODS[name]() for name in names}
+        raise ValueError(f"expected methods out of {', '.join(known)}, got {', '.join(unknown) or 'none'}")
+    return {name: known[name]() for name in names}
 
 
 @dataclass(frozen=True)
@@ -154,7 +169,8 @@ class Evaluation:
 
         Each method has the means of MEASURES, their 95 % bootstrap intervals over sources under "intervals", counts
         ("count", "no_estimate", "failed"), the median "ms", and medians of what single outliers would spoil
-        ("parameter_errors", "fov_error_deg", the latter of absolute values); "kinds" has the means by kind of lens.
+        ("parameter_errors", "fov_error_deg", the latter of absolute values); "kinds" has means, intervals and "count"
+        by kind of lens.
         """
         return {
             "methods": {method: _summarise(self.of(method)) for method in self.methods},
@@ -184,13 +200,22 @@ def evaluate_methods(
     evaluation = Evaluation(list(methods), len(pairs))
     for files in pairs:
         try:
-            pair = _read(files)
+            evaluation.results += judge_pair(files, methods)
         except (ValueError, OSError) as error:
             evaluation.skipped[files.name] = str(error)
-        else:
-            evaluation.results += [_judge(pair, name, method) for name, method in methods.items()]
         on_picture(len(pairs))
     return evaluation
+
+
+def judge_pair(files: PairFiles, methods: Mapping[str, Method]) -> list[PictureResult]:
+    """Run methods on one picture; one that fails is recorded.
+
+    Raises:
+        ValueError: a picture is broken, or of another size than the manifest tells.
+        OSError: a file cannot be read.
+    """
+    pair = _read(files)
+    return [_judge(pair, name, method) for name, method in methods.items()]
 
 
 class Decoded(NamedTuple):
@@ -227,12 +252,15 @@ def _judge(pair: Decoded, name: str, method: Method) -> PictureResult:
     try:
         if method is oracle:
             camera = truth
-        elif (camera := method(pair.fisheye)) is not None:
-            _check_estimate(camera, truth.image_size)
-            view = PinholeCamera.edge_matched(camera, view.image_size)
+        else:
+            camera = _centred(truth) if method is oracle_centred else method(pair.fisheye)
+            if camera is not None:
+                _check_estimate(camera, truth.image_size)
+                view = PinholeCamera.edge_matched(camera, view.image_size)
+        image, valid = straighten(pair.fisheye, camera, view)
     except Exception as failure:  # whatever a method does, the run goes on
         camera, error = None, " ".join(f"{type(failure).__name__}: {failure}".split())
-    image, valid = straighten(pair.fisheye, camera, view)
+        image, valid = straighten(pair.fisheye, None, view)
     ms = (time.perf_counter() - start) * 1e3
 
     positions = pair.positions_identity if camera is None else metrics.look_up(camera, view)
@@ -288,6 +316,13 @@ def straighten(picture: np.ndarray, camera: FisheyeCamera | None, view: PinholeC
     return np.asarray(resized), np.ones((height, width), dtype=bool)
 
 
+def _centred(camera: FisheyeCamera) -> FisheyeCamera:
+    height, width = camera.image_size
+    params = np.array(camera.numpy().params)
+    params[2:4] = pixel.centre(width), pixel.centre(height)
+    return FisheyeCamera(params, camera.image_size)
+
+
 def _check_estimate(camera: FisheyeCamera, image_size: tuple[int, int]) -> None:
     if not isinstance(camera, FisheyeCamera) or camera.image_size != image_size or camera.params.ndim != 1:
         raise ValueError(f"expected one FisheyeCamera of image size {image_size}, got {camera!r}")
@@ -296,9 +331,7 @@ def _check_estimate(camera: FisheyeCamera, image_size: tuple[int, int]) -> None:
 
 
 def _summarise(results: list[PictureResult]) -> dict[str, Any]:
-    sources = [result.source for result in results]
-    summary: dict[str, Any] = _means(results)
-    summary["count"] = len(results)
+    summary = _means(results)
     summary["no_estimate"] = sum(result.params is None for result in results)
     summary["failed"] = sum(result.error is not None for result in results)
     summary["ms"] = _median([result.ms for result in results])
@@ -306,28 +339,26 @@ def _summarise(results: list[PictureResult]) -> dict[str, Any]:
     summary["parameter_errors"] = {
         name: _median([result.parameter_errors[name] for result in results]) for name in FisheyeCamera.parameter_names
     }
-    summary["intervals"] = {
-        measure: [_or_none(bound) for bound in metrics.bootstrap_interval(_values(results, measure), sources)]
-        for measure in MEASURES
-    }
     kinds = sorted({result.kind for result in results if result.kind is not None})
-    summary["kinds"] = {}
-    for kind in kinds:
-        of_kind = [result for result in results if result.kind == kind]
-        summary["kinds"][kind] = {**_means(of_kind), "count": len(of_kind)}
+    summary["kinds"] = {kind: _means([result for result in results if result.kind == kind]) for kind in kinds}
     return summary
 
 
 def _means(results: list[PictureResult]) -> dict[str, Any]:
+    """Give the mean of each measure, with its interval under "intervals", and how many results there are."""
+    sources = [result.source for result in results]
     means: dict[str, Any] = {}
+    intervals = {}
     for measure in MEASURES:
-        values = _values(results, measure)
-        values = values[np.isfinite(values)]
-        means[measure] = float(values.mean()) if values.size else None
-    return means
+        values = values_of(results, measure)
+        finite = values[np.isfinite(values)]
+        means[measure] = float(finite.mean()) if finite.size else None
+        intervals[measure] = [_or_none(bound) for bound in metrics.bootstrap_interval(values, sources)]
+    return means | {"intervals": intervals, "count": len(results)}
 
 
-def _values(results: list[PictureResult], measure: str) -> np.ndarray:
+def values_of(results: list[PictureResult], measure: str) -> np.ndarray:
+    """Give one of MEASURES over results, as means take it: NaN where it is not known, an infinite PSNR as PSNR_MAX."""
     return np.minimum([getattr(result, measure) for result in results], PSNR_MAX if "psnr" in measure else math.inf)
 
 

@@ -1,11 +1,8 @@
-"""What an evaluation is written down as: a text table, JSON, a CSV with one row a picture, a sheet of pictures."""
+"""What an evaluation is shown as: a text table, JSON, a sheet of pictures."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,18 +31,6 @@ _COLUMNS = (
     ("count", "pictures", "d"),
 )
 _WITH_INTERVAL = {"psnr", "ssim", "displacement_px"}
-_NUMBERS = (
-    "psnr",
-    "ssim",
-    "psnr_valid",
-    "ssim_valid",
-    "valid",
-    "displacement_px",
-    "displacement_median_px",
-    "label_miou",
-    "fov_error_deg",
-    "ms",
-)
 
 # the sheet, in pixels
 _CELL, _GAP, _MARGIN, _HEADER, _CAPTION = 224, 10, 24, 40, 26
@@ -68,23 +53,6 @@ def text_table(summary: dict[str, Any]) -> str:
 def write_json(path: str | os.PathLike[str], evaluation: Evaluation) -> None:
     """Write the summary, whole or not at all."""
     write_text(Path(path), json.dumps(evaluation.summary(), indent=1) + "\n")
-
-
-def write_csv(path: str | os.PathLike[str], evaluation: Evaluation) -> None:
-    """Write one row for each picture and method, whole or not at all; what is not known is empty."""
-    names = FisheyeCamera.parameter_names
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    errors = [f"{name}_error" for name in names]
-    writer.writerow(["picture", "source", "kind", "method", *_NUMBERS, *names, *errors, "error"])
-    for result in evaluation.results:
-        params = [math.nan] * len(names) if result.params is None else result.params.tolist()
-        numbers = [getattr(result, name) for name in _NUMBERS]
-        values = [*numbers, *params, *(result.parameter_errors[name] for name in names)]
-        known = ["" if math.isnan(value) else f"{value:.6g}" for value in values]
-        head = [result.picture, result.source, result.kind or "", result.method]
-        writer.writerow([*head, *known, result.error or ""])
-    write_text(Path(path), stream.getvalue())
 
 
 def write_sheet(
