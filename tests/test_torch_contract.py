@@ -249,6 +249,25 @@ def test_the_layer_learns_its_view():
     assert (params.grad != 0).all()
 
 
+@pytest.mark.parametrize("params", [LENSES[0], LENSES[:2]], ids=["one", "batch"])
+def test_the_layer_with_a_camera_of_its_own_stands_in_a_sequence(params):
+    image = noise(2, 3, *SIZE)
+    layer = fr.DistortionRectification(VIEW, camera=fr.FisheyeCamera(params, SIZE))
+    model = nn.Sequential(layer, nn.Conv2d(3, 4, 3)).half().float()
+    assert torch.equal(model(image), model[1](fr.DistortionRectification(VIEW)(image, params)))
+    assert torch.equal(layer(image, LENSES[1]), fr.DistortionRectification(VIEW)(image, LENSES[1]))
+    assert [name for name, _ in model.named_parameters()] == ["1.weight", "1.bias"]
+    assert repr(layer.camera) in repr(model)
+
+
+def test_the_layer_learns_its_camera():
+    params = nn.Parameter(LENSES[0].clone())
+    layer = fr.DistortionRectification(VIEW, camera=fr.FisheyeCamera(params, SIZE))
+    assert [p is params for p in layer.parameters()] == [True]
+    layer(noise(2, 3, *SIZE)).sum().backward()
+    assert (params.grad != 0).all()
+
+
 @pytest.mark.parametrize("params", [LENSES[0], LENSES[:1], LENSES[:2]], ids=["one", "batch_of_one", "batch"])
 def test_the_layer_is_rectify(params):
     image = noise(2, 3, *SIZE)
