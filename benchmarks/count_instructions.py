@@ -23,6 +23,8 @@ WORKS = {
     "rectify float32, one plane": "rectify(pixels((), np.float32), fisheye, view)",
     "rectify float32, 64 channels": "rectify(pixels((64,), np.float32), fisheye, view)",
     "rectify labels int64, nearest": "rectify(pixels((), np.int64), fisheye, view, interpolation='nearest')",
+    "rectify uint8 RGB, cylindrical": "rectify(pixels((3,), np.uint8), fisheye, cylinder)",
+    "rectify uint8 RGB, cylindrical, turned": "rectify(pixels((3,), np.uint8), fisheye, cylinder, rotation=turn)",
     "distort float32, one plane": "distort(pixels((), np.float32), view, fisheye)",
 }
 
@@ -32,6 +34,7 @@ import fisheyerec as fr
 gopro = [565.232442, 566.234638, 650.286812, 499.105033, 0.06752805, -0.00583651, -0.00425955, 0.00671125]
 fisheye = fr.FisheyeCamera(gopro, (960, 1280)).resize(({HEIGHT}, {WIDTH}))
 view = fr.PinholeCamera.edge_matched(fisheye, ({HEIGHT}, {WIDTH}))
+cylinder, turn = fr.CylindricalView.from_fov(120, ({HEIGHT}, {WIDTH})), fr.view_rotation(10, 5)
 pixels = lambda channels, dtype: np.ones(({HEIGHT}, {WIDTH}, *channels), dtype)
 rectify = lambda *a, **k: fr.numpy.rectify(*a, **k, threads=1)
 distort = lambda *a, **k: fr.numpy.distort(*a, **k, threads=1)

@@ -2,8 +2,8 @@
 
     python benchmarks/table1.py --jobs 2 --weights "ours -SL=runs/sl/best.safetensors"
 
-Makes the test set as `fisheyerec synthesize ../shared/data/scenes --sources 100 --split validation` does, unless it is
-there, judges the methods as `fisheyerec evaluate` does, and stores one row a picture and method in docs/results. A run
+Makes the test set as `fisheyerec synthesize ../shared/data/scenes --sources 100 --split validation --seed 1` does, unless
+it is there, judges the methods as `fisheyerec evaluate` does, and stores one row a picture and method in docs/results. A run
 that was killed goes on by the same command; `benchmarks/results.py` makes the page.
 """
 
@@ -37,7 +37,8 @@ RESULTS = ROOT / "docs" / "results"
 WORK = ROOT / "build" / "table1"
 RECORDS, SETTING = "table1.csv.gz", "table1.json"
 
-SOURCES, CAMERAS_PER_SOURCE, SEED = 100, 10, 0
+SOURCES, CAMERAS_PER_SOURCE = 100, 10
+SEED = 1  # the first pairs of seed 0 were looked at while methods were made
 KINDS = ("stereographic", "equidistant", "equisolid", "orthographic", "profile")
 
 

@@ -15,10 +15,16 @@ if TYPE_CHECKING:
     from .network import FishEyeRecNet
     from .rectification import DistortionRectification, Rectification, distort, rectify, resample
     from .rectifier import PhotoEstimate, PhotoRectification, Rectifier
+    from .views import view_for, view_rotation
+    from .wide_views import CylindricalView, EquirectangularView, PaniniView, StereographicView
 
 _HOME = {
     "FisheyeCamera": "cameras",
     "PinholeCamera": "cameras",
+    "CylindricalView": "wide_views",
+    "EquirectangularView": "wide_views",
+    "PaniniView": "wide_views",
+    "StereographicView": "wide_views",
     "FishEyeRecNet": "network",
     "PhotoEstimate": "rectifier",
     "PhotoRectification": "rectifier",
@@ -29,21 +35,29 @@ _HOME = {
     "rectify": "rectification",
     "resample": "rectification",
     "backend_for": "_ops",
+    "view_for": "views",
+    "view_rotation": "views",
 }
 
 __all__ = [
+    "CylindricalView",
     "DistortionRectification",
+    "EquirectangularView",
     "FishEyeRecNet",
     "FisheyeCamera",
+    "PaniniView",
     "PhotoEstimate",
     "PhotoRectification",
     "PinholeCamera",
     "Rectification",
     "Rectifier",
+    "StereographicView",
     "backend_for",
     "distort",
     "rectify",
     "resample",
+    "view_for",
+    "view_rotation",
 ]
 
 

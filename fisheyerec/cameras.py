@@ -60,7 +60,7 @@ class Camera:
 
     def __init__(self, params: Any, image_size: tuple[int, int]) -> None:
         self.params: Array = _checked_params(type(self), params)
-        self.image_size = _checked_image_size(type(self), image_size)
+        self.image_size = checked_image_size(type(self), image_size)
 
     def __repr__(self) -> str:
         height, width = self.image_size
@@ -127,8 +127,8 @@ class Camera:
             points: (..., 2) in pixels as (x, y); for a batch of cameras (B, ..., 2).
 
         Returns:
-            rays (..., 3), of unit length for a fisheye and with z = 1 for a pinhole, and valid (...) bool; invalid
-            rays are NaN.
+            rays (..., 3), of unit length for a fisheye, with z = 1 for a pinhole and of other lengths for other views,
+            and valid (...) bool; invalid rays are NaN.
 
         Raises:
             ValueError: points of another shape.
@@ -168,7 +168,7 @@ class Camera:
 
     def resize(self, image_size: tuple[int, int]) -> Self:
         """Give the camera of the same picture resized to (height, width): the same rays at the same relative places."""
-        height, width = _checked_image_size(type(self), image_size)
+        height, width = checked_image_size(type(self), image_size)
         scale_y, scale_x = height / self.image_size[0], width / self.image_size[1]
         fx, fy, cx, cy, *k = self._columns()
         columns = [fx * scale_x, fy * scale_y, pixel.scale(cx, scale_x), pixel.scale(cy, scale_y), *k]
@@ -182,7 +182,7 @@ class Camera:
             [fx * factor, fy * factor, pixel.scale(cx, factor), pixel.scale(cy, factor), *k], (height, width)
         )
 
-    def crop(self, x0: int, y0: int, image_size: tuple[int, int]) -> Self:
+    def crop(self, x0: float, y0: float, image_size: tuple[int, int]) -> Self:
         """Give the camera of the part of the picture whose upper left pixel is (x0, y0); it may reach outside."""
         fx, fy, cx, cy, *k = self._columns()
         return self._with([fx, fy, cx - x0, cy - y0, *k], image_size)
@@ -354,7 +354,7 @@ class FisheyeCamera(Camera):
         widest = 180 if projection == "orthographic" else 360
         if not (0 < fov_deg < widest or fov_deg == 180):
             raise ValueError(f"{where}: expected fov_deg in (0, {widest}) for {projection}, got {fov_deg}")
-        height, width = _checked_image_size(cls, image_size)
+        height, width = checked_image_size(cls, image_size)
         radius, half_fov = _PROJECTIONS[projection], math.radians(fov_deg) / 2
 
         # Least squares at Chebyshev nodes, close to the best fit in the largest error. The unknowns are f and f k_i.
@@ -398,7 +398,7 @@ class FisheyeCamera(Camera):
         where = f"{cls.__name__}.from_model()"
         if model not in lens_models.MODELS:
             raise ValueError(f"{where}: expected model in {sorted(lens_models.MODELS)}, got {model!r}")
-        height, width = _checked_image_size(cls, image_size)
+        height, width = checked_image_size(cls, image_size)
         try:
             file = checked(model, width, height, params)
         except ValueError as error:
@@ -452,7 +452,7 @@ class PinholeCamera(Camera):
                 f"{cls.__name__}.from_fov(): expected fov_deg in (0, 180), as a perspective view is narrower than "
                 f"180 degrees, got {fov_deg:g}"
             )
-        _, width = _checked_image_size(cls, image_size)
+        _, width = checked_image_size(cls, image_size)
         return cls.from_focal(width / 2 / math.tan(math.radians(fov_deg) / 2), image_size)
 
     @classmethod
@@ -464,7 +464,7 @@ class PinholeCamera(Camera):
         """
         if not (focal > 0 and math.isfinite(focal)):
             raise ValueError(f"{cls.__name__}.from_focal(): expected a focal length above 0, got {focal:g}")
-        height, width = _checked_image_size(cls, image_size)
+        height, width = checked_image_size(cls, image_size)
         return cls([focal, focal, pixel.centre(width), pixel.centre(height)], image_size)
 
     @classmethod
@@ -502,7 +502,7 @@ class PinholeCamera(Camera):
             raise TypeError(
                 f"{cls.__name__}.edge_matched(): expected camera as a FisheyeCamera, got {type(camera).__name__}"
             )
-        height, width = _checked_image_size(cls, image_size)
+        height, width = checked_image_size(cls, image_size)
         source_height, source_width = camera.image_size
         x, y = pixel.centre(source_width), pixel.centre(source_height)
         left, upper = -pixel.HALF_PIXEL, -pixel.HALF_PIXEL
@@ -584,7 +584,8 @@ def _checked_params(cls: type[Camera], params: Any) -> Any:
     return params
 
 
-def _checked_image_size(cls: type[Camera], image_size: Any) -> tuple[int, int]:
+def checked_image_size(cls: type[Camera], image_size: Any) -> tuple[int, int]:
+    """Give (height, width) as integers; raise TypeError unless they are two, ValueError unless they are above 0."""
     try:
         height, width = image_size
         if height != int(height) or width != int(width):

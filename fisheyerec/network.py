@@ -59,8 +59,8 @@ class NetworkOutput(NamedTuple):
     """(B, N, s, s) logits before the refinement network; None without scene parsing."""
     rectified_parsing: Tensor | None
     """(B, N, H, W) probabilities of the classes in the rectified picture, 0 where it is empty; None like the others."""
-    estimate: LensEstimate
-    """The lens as a distribution."""
+    estimate: LensEstimate | LensClasses
+    """The lens as a distribution: the former from FishEyeRecNet, the latter from a network that classifies."""
 
 
 class LensEstimate(NamedTuple):
@@ -76,7 +76,77 @@ class LensEstimate(NamedTuple):
     """(B, 8): logarithm of the expected error of `deviation`; 0 for a network that does not emit it."""
 
 
-class FishEyeRecNet(nn.Module):
+class LensClasses(NamedTuple):
+    """A distribution over a fixed set of N lenses."""
+
+    chart: Tensor
+    """(B, 8) float64, of the likeliest."""
+    logits: Tensor
+    """(B, N)."""
+    classes: Tensor
+    """(N, 8) float64, the charts of all."""
+
+
+class LensNetwork(nn.Module):
+    """What networks share that tell the lens of a picture: its square, normalised frame.
+
+    Calling one with pictures (B, 3, H, W), RGB in [0, 1], gives a NetworkOutput; `straighten=False` does not rectify.
+
+    Args:
+        longer_side: of the pictures that it is made for, in pixels.
+        fixed_size: whether it is bound to that side.
+        design: what is needed to build the same network again.
+    """
+
+    picture_mean: Tensor
+    picture_deviation: Tensor
+    parsing: SceneParsingNetwork | None
+
+    def __init__(self, longer_side: int, fixed_size: bool, design: dict[str, Any]) -> None:
+        super().__init__()
+        self.longer_side, self.fixed_size, self.design = longer_side, fixed_size, design
+        self.register_buffer("picture_mean", torch.tensor(PICTURE_MEAN)[:, None, None])
+        self.register_buffer("picture_deviation", torch.tensor([0.229, 0.224, 0.225])[:, None, None])
+
+    def frame(self, image: Tensor) -> Tensor:
+        """Put normalised pictures (B, 3, H, W) into the middle of squares (B, 3, S, S) with margins of 0.
+
+        Raises:
+            ValueError: another shape, or NaN or infinite values.
+        """
+        self._check_image(image)
+        top, left, side = _margins(image)
+        height, width = image.shape[-2:]
+        return functional.pad(
+            (image - self.picture_mean) / self.picture_deviation,
+            (left, side - width - left, top, side - height - top),
+        ).contiguous(memory_format=torch.channels_last)
+
+    def _check_image(self, image: Tensor) -> None:
+        name = type(self).__name__
+        side = str(self.longer_side) if self.fixed_size else "a multiple of 32"
+        expected = f"(B, 3, H, W), the longer side {side},"
+        fits = image.ndim == 4 and image.shape[1] == 3 and image.is_floating_point() and min(image.shape) > 0
+        if fits:
+            longer = max(image.shape[-2:])
+            fits = longer == self.longer_side if self.fixed_size else longer % 32 == 0
+        if not fits:
+            raise ValueError(
+                f"{name}(): expected image of shape {expected} and a floating dtype, "
+                f"got {tuple(image.shape)} {image.dtype}"
+            )
+        if not torch.compiler.is_compiling() and not image.isfinite().all():
+            raise ValueError(f"{name}(): expected a finite image, got NaN or infinite values")
+
+
+def _margins(image: Tensor) -> tuple[int, int, int]:
+    """Where pictures lie within their squares, top and left, and the side of these."""
+    height, width = image.shape[-2:]
+    side = max(height, width)
+    return (side - height) // 2, (side - width) // 2, side
+
+
+class FishEyeRecNet(LensNetwork):
     """The whole network: a picture in, the lens and the rectified picture out.
 
     Args:
@@ -90,8 +160,6 @@ class FishEyeRecNet(nn.Module):
 
     lens_mean: Tensor
     lens_basis: Tensor
-    picture_mean: Tensor
-    picture_deviation: Tensor
 
     def __init__(
         self,
@@ -102,14 +170,11 @@ class FishEyeRecNet(nn.Module):
         fixed_size: bool,
         design: dict[str, Any],
     ) -> None:
-        super().__init__()
+        super().__init__(longer_side, fixed_size, design)
         self.base, self.parsing, self.estimation = base, parsing, estimation
-        self.longer_side, self.fixed_size, self.design = longer_side, fixed_size, design
         mean, basis = lens_chart.population()
         self.register_buffer("lens_mean", mean)
         self.register_buffer("lens_basis", basis)
-        self.register_buffer("picture_mean", torch.tensor(PICTURE_MEAN)[:, None, None])
-        self.register_buffer("picture_deviation", torch.tensor([0.229, 0.224, 0.225])[:, None, None])
 
     @classmethod
     def paper(cls, num_classes: int = 150, *, scene_parsing: bool = True) -> FishEyeRecNet:
@@ -168,14 +233,8 @@ class FishEyeRecNet(nn.Module):
         Raises:
             ValueError: another shape, or NaN or infinite values.
         """
-        self._check_image(image)
+        normalised = self.frame(image)
         height, width = image.shape[-2:]
-        side = max(height, width)
-        top, left = (side - height) // 2, (side - width) // 2
-        normalised = functional.pad(
-            (image - self.picture_mean) / self.picture_deviation,
-            (left, side - width - left, top, side - height - top),
-        ).contiguous(memory_format=torch.channels_last)
         features = self.base(normalised)
         parsing = first_parsing = probabilities = None
         if self.parsing is not None:
@@ -187,6 +246,7 @@ class FishEyeRecNet(nn.Module):
         rectified = rectify(image, camera, view).image if straighten else None
         rectified_parsing = None
         if probabilities is not None and straighten:
+            top, left, side = _margins(image)
             enlarged = functional.interpolate(probabilities, size=(side, side), mode="bilinear", align_corners=False)
             cropped = enlarged[..., top : top + height, left : left + width]
             rectified_parsing = rectify(cropped, camera, view).image
@@ -199,21 +259,6 @@ class FishEyeRecNet(nn.Module):
         chart = self.lens_mean + deviation @ self.lens_basis.mT
         spread = self.lens_basis * log_sigma.exp()[:, None]  # (B, 8, 8)
         return LensEstimate(chart, spread @ spread.mT, deviation, log_sigma)
-
-    def _check_image(self, image: Tensor) -> None:
-        side = str(self.longer_side) if self.fixed_size else "a multiple of 32"
-        expected = f"(B, 3, H, W), the longer side {side},"
-        fits = image.ndim == 4 and image.shape[1] == 3 and image.is_floating_point() and min(image.shape) > 0
-        if fits:
-            longer = max(image.shape[-2:])
-            fits = longer == self.longer_side if self.fixed_size else longer % 32 == 0
-        if not fits:
-            raise ValueError(
-                f"FishEyeRecNet(): expected image of shape {expected} and a floating dtype, "
-                f"got {tuple(image.shape)} {image.dtype}"
-            )
-        if not torch.compiler.is_compiling() and not image.isfinite().all():
-            raise ValueError("FishEyeRecNet(): expected a finite image, got NaN or infinite values")
 
     def load_vgg16(self, path_or_url: str | os.PathLike[str]) -> None:
         """Load ImageNet weights into the base network of `paper`.

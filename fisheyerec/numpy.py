@@ -48,7 +48,7 @@ def rectify(
         image: (H, W) or (H, W, C), uint8 or floating; nearest takes integers as well. Any strides.
         camera: the fisheye camera, of image size (H, W).
         view: the view to make, of image size (h, w).
-        rotation: (3, 3) camera_from_view, turning the view (pan, tilt, roll); None for none.
+        rotation: (3, 3) camera_from_view, turning the view, as `view_rotation` gives it; None for none.
         interpolation: "bilinear" or "nearest" (labels).
         padding: what lies outside the picture: "zeros" or "border".
         threads: how many threads; None for OpenMP's default (OMP_NUM_THREADS).

@@ -65,7 +65,8 @@ def rectify(
             B = 1 is repeated for a batch of cameras or views.
         camera: the fisheye camera, of image size (H, W); one, or one for each image.
         view: the view to make, of image size (h, w); one, or one for each image.
-        rotation: (3, 3) or (B, 3, 3), camera_from_view: turns the view's rays into the camera's frame.
+        rotation: (3, 3) or (B, 3, 3), camera_from_view: turns the view's rays into the camera's frame, as
+            `view_rotation` gives it from pan, tilt and roll.
         interpolation: "bilinear" or "nearest" (labels).
         padding: what lies outside the picture: "zeros" or "border".
 
@@ -220,48 +221,79 @@ def _rotations(function: str, rotation: Any) -> Tensor:
 class DistortionRectification(nn.Module):
     """The paper's distortion rectification layer: `layer(image, params)` -> (B, C, h, w).
 
-    No state of its own. Where view.params is an `nn.Parameter`, the layer owns it and the view is learnt too.
+    With a camera of its own it is `layer(image)`, to stand in an `nn.Sequential` before a network or within one. No
+    state of its own: where view.params or camera.params is an `nn.Parameter`, the layer owns it and learns it.
 
     Args:
         view: the view that every picture is rectified into.
+        camera: the fisheye camera of every picture, or None where each call brings its params.
         interpolation: "bilinear" or "nearest".
         padding: "zeros" or "border".
 
     Raises:
-        TypeError: view is not a camera.
+        TypeError: view or camera is not a camera.
         ValueError: unknown interpolation or padding.
     """
 
-    def __init__(self, view: Camera, *, interpolation: str = "bilinear", padding: str = "zeros") -> None:
+    def __init__(
+        self,
+        view: Camera,
+        *,
+        camera: FisheyeCamera | None = None,
+        interpolation: str = "bilinear",
+        padding: str = "zeros",
+    ) -> None:
         super().__init__()
         check_camera("DistortionRectification", "view", view)
+        if camera is not None and not isinstance(camera, FisheyeCamera):
+            raise TypeError(
+                f"DistortionRectification(): expected camera as a FisheyeCamera or None, got {type(camera).__name__}"
+            )
         check_interpolation("DistortionRectification", interpolation)
         check_padding("DistortionRectification", padding)
         self.view_type, self.view_size = type(view), view.image_size
-        # Not a buffer: half() and bfloat16() of the model would round the focal length by pixels.
+        # Not buffers: half() and bfloat16() of the model would round the focal lengths by pixels.
         self.view_params = torch.as_tensor(view.params)
+        self.camera_params = None if camera is None else torch.as_tensor(camera.params)
+        self.camera_size = None if camera is None else camera.image_size
         self.interpolation, self.padding = interpolation, padding
+
+    @property
+    def camera(self) -> FisheyeCamera | None:
+        """The fisheye camera of every picture, if the layer has one."""
+        if self.camera_params is None or self.camera_size is None:
+            return None
+        return FisheyeCamera(self.camera_params, self.camera_size)
 
     @property
     def view(self) -> Camera:
         """The view that pictures are rectified into."""
         return self.view_type(self.view_params, self.view_size)
 
-    def forward(self, image: Tensor, params: Tensor, rotation: Tensor | None = None) -> Tensor:
+    def forward(self, image: Tensor, params: Tensor | None = None, rotation: Tensor | None = None) -> Tensor:
         """Rectify a batch.
 
         Args:
             image: (B, C, H, W).
-            params: (B, 8) or (8,): fx, fy, cx, cy, k1..k4 of the fisheye camera, for pictures of the size of image.
+            params: (B, 8) or (8,): fx, fy, cx, cy, k1..k4 of the fisheye camera, for pictures of the size of image;
+                None for the layer's own camera.
             rotation: (3, 3) or (B, 3, 3) camera_from_view, as in `rectify`.
 
         Returns:
             (B, C, h, w).
+
+        Raises:
+            TypeError, ValueError: as `rectify`; params None in a layer without a camera.
         """
         _check_image(RECTIFY, image)
-        camera = FisheyeCamera(params, (image.shape[-2], image.shape[-1]))
+        camera = self.camera if params is None else FisheyeCamera(params, (image.shape[-2], image.shape[-1]))
+        if camera is None:
+            raise TypeError(
+                "DistortionRectification(): expected params, as the layer has no camera of its own, got None"
+            )
         return _resample(RECTIFY, image, camera, self.view, rotation, self.interpolation, self.padding)[0]
 
     def extra_repr(self) -> str:
         """Show the view and the options."""
-        return f"view={self.view!r}, interpolation={self.interpolation!r}, padding={self.padding!r}"
+        own = "" if self.camera is None else f"camera={self.camera!r}, "
+        return f"view={self.view!r}, {own}interpolation={self.interpolation!r}, padding={self.padding!r}"

@@ -24,7 +24,6 @@ from PIL import Image
 from torch import Tensor
 
 from . import numpy as door
-from . import views
 from .cameras import Camera, FisheyeCamera, PinholeCamera
 from .lens_chart import ASPECT, PRINCIPAL_POINT, SIZE, camera_from_chart, chart_of, perspective_chart, stretch
 from .network import FishEyeRecNet
@@ -32,6 +31,7 @@ from .pictures import decode, read_picture
 from .refinement import DISTORTED_EVIDENCE, DISTORTED_STRETCH, Prior, Refinement
 from .refinement import refine as refine_camera
 from .straightness import WORKING_SIDE, straightness
+from .views import view_for
 from .weights import load_network
 
 SMALLEST_SIDE = 16
@@ -50,8 +50,8 @@ class PhotoEstimate:
     """For the photo's own pixels, upright; float64 (8,). One without distortion where `distorted` is False."""
     confidence: float
     """exp(-d / 2) in (0, 1], d being the expected error in pixels of a picture of 256x256: the RMS distance, over the
-    covariance of the lens, between where rectified pixels are looked for. The covariance is the network's, narrowed by
-    the lines that the refinement found."""
+    covariance of the lens, between where rectified pixels are looked for, apart from a shift and a scale of the whole
+    picture, which bend nothing. The covariance is the network's, narrowed by the lines that the refinement found."""
     distorted: bool
     """Whether the photo has a fisheye distortion worth undoing: `camera` has one and lines do not contradict it."""
     straightness_before: float
@@ -60,6 +60,8 @@ class PhotoEstimate:
     """The same under `camera`."""
     refined: bool
     """Whether the camera was refined on lines; else it is the network's."""
+    covariance: np.ndarray
+    """(8, 8): of the lens chart, which the confidence sums up."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -118,11 +120,13 @@ class Rectifier:
         self,
         photo: Any,
         *,
-        view: Camera | None = None,
+        view: Camera | str | None = None,
         fov_deg: float | None = None,
         focal: float | None = None,
         balance: float | None = None,
+        projection: str = "pinhole",
         size: tuple[int, int] | None = None,
+        rotation: Any = None,
         interpolation: str = "bilinear",
         refine: bool = True,
     ) -> PhotoRectification:
@@ -132,11 +136,13 @@ class Rectifier:
             photo: a path; a PIL image; an array (H, W), (H, W, 3) or (H, W, 4), uint8, uint16 or floating; or a tensor
                 (C, H, W) or (1, C, H, W) with 1, 3 or 4 channels. RGB, from black 0 to white, which for floats is 1
                 or the next 2^n - 1 above what there is; at least 16x16.
-            view: the view to make; or one of the following at most.
-            fov_deg: field of view across the result's width, in (0, 180).
+            view: the view to make, or a mode of `view_for`; or one of the following at most.
+            fov_deg: field of view across the result's width, in (0, 180); other projections may be wider.
             focal: focal length of the result in pixels.
             balance: from 0, only valid pixels, to 1, the whole photo.
+            projection: of the view, as for `view_for`.
             size: (height, width) of the result; None for the photo's.
+            rotation: (3, 3) camera_from_view, which turns the view, as `view_rotation` gives it; None for none.
             interpolation: "bilinear" or "nearest".
             refine: whether to refine the network's camera on the photo's lines.
 
@@ -150,16 +156,17 @@ class Rectifier:
         """
         opened = _open(photo)
         options = {"fov_deg": fov_deg, "focal": focal, "balance": balance}
-        if view is not None and (size is not None or any(option is not None for option in options.values())):
+        mode = view if isinstance(view, str) else None
+        if isinstance(view, Camera) and (size is not None or any(option is not None for option in options.values())):
             raise ValueError("Rectifier(): expected view alone or fov_deg, focal, balance and size, got both")
         estimate = self._estimate(opened.pixels, refine)
-        if view is None:
-            view = views.choose(estimate.camera, size or opened.pixels.shape[:2], **options)
+        if not isinstance(view, Camera):
+            view = view_for(estimate.camera, size or opened.pixels.shape[:2], mode, projection=projection, **options)
         if not estimate.distorted:
             image, valid = opened.pixels, np.ones(opened.pixels.shape[:2], dtype=bool)
             view = PinholeCamera.edge_matched(estimate.camera, opened.pixels.shape[:2])
         else:
-            image, valid = _rectify(opened.pixels, estimate.camera, view, interpolation)
+            image, valid = _rectify(opened.pixels, estimate.camera, view, rotation, interpolation)
         return PhotoRectification(
             **vars(estimate), image=opened.restore(image), valid=opened.restore_mask(valid), view=view
         )
@@ -191,11 +198,12 @@ class Rectifier:
             before,
             after,
             refinement is not None and refinement.accepted and distorted,
+            covariance,
         )
 
     def _look(self, working: np.ndarray) -> tuple[FisheyeCamera, np.ndarray]:
         """Ask the network: the camera of the working copy, and the covariance (8, 8) of its chart."""
-        frame = _frame(working, self.network.longer_side)
+        frame = network_frame(working, self.network.longer_side)
         tensor = torch.from_numpy(frame).permute(2, 0, 1)[None] / 255
         chart, covariance = _ask(self.network, tensor, self.average)
         if not (chart.isfinite().all() and covariance.isfinite().all()):
@@ -264,12 +272,12 @@ def _checked(pixels: np.ndarray) -> np.ndarray:
 
 
 def _rectify(
-    pixels: np.ndarray, camera: FisheyeCamera, view: Camera, interpolation: str
+    pixels: np.ndarray, camera: FisheyeCamera, view: Camera, rotation: Any, interpolation: str
 ) -> tuple[np.ndarray, np.ndarray]:
     if pixels.dtype != np.uint16:
-        return door.rectify(pixels, camera, view, interpolation=interpolation)
+        return door.rectify(pixels, camera, view, rotation=rotation, interpolation=interpolation)
     # The kernels interpolate no integers but bytes; float32 holds 16 bits exactly.
-    image, valid = door.rectify(pixels.astype(np.float32), camera, view, interpolation=interpolation)
+    image, valid = door.rectify(pixels.astype(np.float32), camera, view, rotation=rotation, interpolation=interpolation)
     return np.rint(image).astype(np.uint16), valid
 
 
@@ -298,7 +306,7 @@ def _white(largest: float) -> float:
     return float(2 ** max(8, math.ceil(math.log2(largest + 1))) - 1)
 
 
-def _frame(working: np.ndarray, longer_side: int) -> np.ndarray:
+def network_frame(working: np.ndarray, longer_side: int) -> np.ndarray:
     """Resize a working copy to what the network looks at: (h, w, 3), the shorter side even, so that it has a middle."""
     height, width = (max(2, 2 * round(side * longer_side / max(working.shape[:2]) / 2)) for side in working.shape[:2])
     shrinks = longer_side < max(working.shape[:2])
@@ -357,7 +365,8 @@ def _straight_camera(image_size: tuple[int, int]) -> FisheyeCamera:
 def _expected_error_px(chart: np.ndarray, covariance: np.ndarray) -> float:
     """RMS distance between where lenses of this distribution look for the same pixel of the edge-matched view.
 
-    Taken over the 16 sigma points of the distribution, on a grid over a picture of 256x256.
+    Taken over the 16 sigma points of the distribution, on a grid over a picture of 256x256, after the shift and the
+    scale that bring each closest to the mean: a principal point that is off by some pixels does little else.
     """
     size = (_JUDGED_SIDE, _JUDGED_SIDE)
     values, axes = np.linalg.eigh(covariance)
@@ -368,4 +377,7 @@ def _expected_error_px(chart: np.ndarray, covariance: np.ndarray) -> float:
     across = torch.linspace(0, _JUDGED_SIDE - 1, 9, dtype=torch.float64)
     grid = torch.cartesian_prod(across, across).expand(len(charts), -1, -1)
     points, _ = cameras.project(view.unproject(grid)[0])
-    return float((points[1:] - points[0]).square().sum(-1).nanmean().sqrt())
+    centred = points - points.nanmean(1, keepdim=True)
+    mean, off = centred[0], centred[1:] - centred[0]
+    scale = (off * mean).nansum((1, 2)) / mean.square().nansum()
+    return float((off - scale[:, None, None] * mean).square().sum(-1).nanmean().sqrt())

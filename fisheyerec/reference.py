@@ -21,8 +21,8 @@ def project(model: str, params: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
     """Project rays into the image of a camera.
 
     Args:
-        model: "pinhole" or "kannala_brandt".
-        params: (..., 4) or (..., 8), broadcast against the rays' leading dimensions.
+        model: "pinhole", "kannala_brandt", "cylindrical", "equirectangular", "stereographic" or "panini".
+        params: (..., P), broadcast against the rays' leading dimensions; P is 8 for Kannala-Brandt, 5 for Panini, or 4.
         rays: (..., 3), x right, y down, z forward, of any length.
 
     Returns:
@@ -36,12 +36,12 @@ def unproject(model: str, params: Tensor, points: Tensor) -> tuple[Tensor, Tenso
     """Lift image points to rays, the inverse of `project`.
 
     Args:
-        model: "pinhole" or "kannala_brandt".
-        params: (..., 4) or (..., 8), broadcast against the points' leading dimensions.
+        model: as for `project`.
+        params: (..., P), broadcast against the points' leading dimensions.
         points: (..., 2) in pixels.
 
     Returns:
-        rays (..., 3), of unit length for a fisheye and with z = 1 for a pinhole, and valid (...).
+        rays (..., 3), of unit length for a fisheye, with z = 1 for a pinhole, else of other lengths, and valid (...).
     """
     rays, valid = _UNPROJECT[model](params, points)
     return _where_usable(params, rays, valid)
@@ -136,13 +136,102 @@ def _unproject_kannala_brandt(params: Tensor, points: Tensor) -> tuple[Tensor, T
     return rays, valid
 
 
+def _to_pixels(params: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    fx, fy, cx, cy = params[..., :4].unbind(-1)
+    return torch.stack([cx + fx * u, cy + fy * v], -1)
+
+
+def _from_pixels(params: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    fx, fy, cx, cy = params[..., :4].unbind(-1)
+    return (points[..., 0] - cx) / fx, (points[..., 1] - cy) / fy
+
+
+def _project_cylindrical(params: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
+    x, y, z = rays.unbind(-1)
+    h, on_cylinder_axis = _length(x, z)
+    longitude = torch.atan2(x, torch.where(on_cylinder_axis, 1.0, z))
+    return _to_pixels(params, longitude, y / h), ~on_cylinder_axis
+
+
+def _unproject_cylindrical(params: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    longitude, v = _from_pixels(params, points)
+    return torch.stack([longitude.sin(), v, longitude.cos()], -1), longitude.abs() <= math.pi
+
+
+def _project_equirectangular(params: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
+    x, y, z = rays.unbind(-1)
+    h, at_pole = _length(x, z)
+    longitude = torch.atan2(x, torch.where(at_pole, 1.0, z))
+    latitude = torch.atan2(y, torch.where(at_pole, 0.0, h))
+    return _to_pixels(params, longitude, latitude), ~at_pole | (y != 0)
+
+
+def _unproject_equirectangular(params: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    longitude, latitude = _from_pixels(params, points)
+    h = latitude.cos()
+    rays = torch.stack([h * longitude.sin(), latitude.sin(), h * longitude.cos()], -1)
+    return rays, (longitude.abs() <= math.pi) & (latitude.abs() <= math.pi / 2)
+
+
+def _project_stereographic(params: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
+    x, y, z = rays.unbind(-1)
+    squared = x * x + y * y
+    valid = (z > 0) | (squared > 0)
+    length = torch.where(valid, squared + z * z, 1.0).sqrt()
+    ahead = 2 / (length + z.clamp(min=0))
+    behind = 2 * (length - z.clamp(max=0)) / torch.where(squared > 0, squared, 1.0)
+    scale = torch.where(z < 0, behind, ahead)
+    return _to_pixels(params, scale * x, scale * y), valid
+
+
+def _unproject_stereographic(params: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    u, v = _from_pixels(params, points)
+    rays = torch.stack([u, v, 1 - (u * u + v * v) / 4], -1)
+    return rays, rays.isfinite().all(-1)
+
+
+def _project_panini(params: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
+    x, y, z = rays.unbind(-1)
+    d = params[..., 4]
+    h, on_cylinder_axis = _length(x, z)
+    depth = d * h + z
+    valid = ~on_cylinder_axis & (depth > 0) & (h + d * z > 0) & (d >= 0)
+    scale = (d + 1) / torch.where(valid, depth, 1.0)
+    return _to_pixels(params, scale * x, scale * y), valid
+
+
+def _unproject_panini(params: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    u, v = _from_pixels(params, points)
+    d = params[..., 4]
+    k = (u / (d + 1)) ** 2
+    square = 1 + k * (1 - d * d)
+    valid = (square >= 0) & (d >= 0)
+    z = (torch.where(valid, square, 1.0).sqrt() - k * d) / (1 + k)
+    q = (d + z) / (d + 1)
+    return torch.stack([q * u, q * v, z], -1), valid
+
+
 def _where_usable(params: Tensor, vectors: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     valid = valid & vectors.isfinite().all(-1) & params.isfinite().all(-1)
     return torch.where(valid[..., None], vectors, math.nan), valid
 
 
-_PROJECT = {"pinhole": _project_pinhole, "kannala_brandt": _project_kannala_brandt}
-_UNPROJECT = {"pinhole": _unproject_pinhole, "kannala_brandt": _unproject_kannala_brandt}
+_PROJECT = {
+    "pinhole": _project_pinhole,
+    "kannala_brandt": _project_kannala_brandt,
+    "cylindrical": _project_cylindrical,
+    "equirectangular": _project_equirectangular,
+    "stereographic": _project_stereographic,
+    "panini": _project_panini,
+}
+_UNPROJECT = {
+    "pinhole": _unproject_pinhole,
+    "kannala_brandt": _unproject_kannala_brandt,
+    "cylindrical": _unproject_cylindrical,
+    "equirectangular": _unproject_equirectangular,
+    "stereographic": _unproject_stereographic,
+    "panini": _unproject_panini,
+}
 
 
 def resample(
@@ -161,10 +250,10 @@ def resample(
 
     Args:
         image: (B, C, H, W), floating, or integer without gradients.
-        source: (B or 1, 4 or 8) parameters of the camera that took the image.
-        target: (B or 1, 4 or 8) parameters of the camera to see it through.
+        source: (B or 1, P) parameters of the camera that took the image.
+        target: (B or 1, P) parameters of the camera to see it through.
         source_from_target: (B or 1, 3, 3) rotation of target rays into the source camera, or None.
-        source_model: "pinhole" or "kannala_brandt"; target_model likewise.
+        source_model: as for `project`; target_model likewise.
         target_model: see source_model.
         height: of the result; width likewise.
         width: see height.

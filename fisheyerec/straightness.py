@@ -41,12 +41,8 @@ def straightness(image: np.ndarray, camera: FisheyeCamera | None) -> float:
 
 def find_pieces(image: np.ndarray) -> tuple[Pieces, tuple[int, int]]:
     """Edge chains of a picture at its working size, every few points averaged, and that (height, width)."""
-    grey = image if image.ndim == 2 else cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+    grey = working_copy(image)
     height, width = grey.shape
-    shrink = WORKING_SIDE / max(height, width)
-    if shrink < 1:
-        height, width = max(1, round(height * shrink)), max(1, round(width * shrink))
-        grey = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
     chains = find_chains(grey, min_length=max(12.0, max(height, width) / 20))
     counts = np.diff(chains.starts)
     groups = np.maximum(counts // _STRIDE, 1)
@@ -57,6 +53,17 @@ def find_pieces(image: np.ndarray) -> tuple[Pieces, tuple[int, int]]:
     sums = np.stack([np.bincount(target, chains.points[:, axis], minlength=first[-1]) for axis in (0, 1)], -1)
     first = first[: _MOST_PIECES + 1]
     return Pieces((sums / members)[: first[-1]], first), (height, width)
+
+
+def working_copy(image: np.ndarray) -> np.ndarray:
+    """Give the grey picture (h, w) that edges are looked for in: no side longer than WORKING_SIDE."""
+    grey = image if image.ndim == 2 else cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+    height, width = grey.shape
+    shrink = WORKING_SIDE / max(height, width)
+    if shrink < 1:
+        size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(grey)
 
 
 def straightness_of(pieces: Pieces, camera: FisheyeCamera | None, size: tuple[int, int]) -> float:

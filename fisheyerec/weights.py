@@ -13,14 +13,14 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from .network import FishEyeRecNet
+from .network import FishEyeRecNet, LensNetwork
 
 
-def save_network(network: FishEyeRecNet, path: str | os.PathLike[str], notes: Mapping[str, Any]) -> None:
+def save_network(network: LensNetwork, path: str | os.PathLike[str], notes: Mapping[str, Any]) -> None:
     """Write a network in float16, complete or not at all.
 
     Args:
-        network: as `FishEyeRecNet.paper` or `compact` built it.
+        network: whose `design` says how it was built.
         path: a .safetensors file.
         notes: what else to remember, as JSON can hold it.
 

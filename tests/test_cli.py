@@ -38,6 +38,17 @@ def small(tmp_path):
     return tmp_path / "small.png", tmp_path / "small.json"
 
 
+def test_pan_tilt_and_roll_turn_the_view(small, tmp_path):
+    picture, camera_file = small
+    turn = ["--pan", "20", "--tilt", "-10", "--roll", "5"]
+    result = rectify(picture, "-o", tmp_path / "out.png", "--fov-deg", "70", *turn, camera=camera_file)
+    assert (result.returncode, result.stderr) == (0, "")
+    camera, view = fr.FisheyeCamera.load(camera_file), fr.PinholeCamera.from_fov(70, (48, 64))
+    pixels = read_picture(picture).pixels
+    expected = fr.numpy.rectify(pixels, camera, view, rotation=fr.view_rotation(20, -10, 5)).image
+    np.testing.assert_array_equal(read_picture(tmp_path / "out.png").pixels, expected)
+
+
 @pytest.mark.parametrize(
     ("options", "view"),
     [
@@ -45,6 +56,12 @@ def small(tmp_path):
         (["--fov-deg", "90"], lambda camera: fr.PinholeCamera.from_fov(90, camera.image_size)),
         (["--focal", "40"], lambda camera: fr.PinholeCamera.from_focal(40, camera.image_size)),
         (["--balance", "0.5"], lambda camera: views.balanced(camera, 0.5, camera.image_size)),
+        (["--projection", "cylindrical"], lambda camera: fr.CylindricalView.from_fov(120, camera.image_size)),
+        (
+            ["--projection", "stereographic", "--fov-deg", "200"],
+            lambda camera: fr.StereographicView.from_fov(200, camera.image_size),
+        ),
+        (["--view", "valid-only"], lambda camera: views.valid_only(camera, camera.image_size)),
         (["--size", "30x20", "--fov-deg", "90"], lambda camera: fr.PinholeCamera.from_fov(90, (20, 30))),
     ],
 )
@@ -74,8 +91,8 @@ def test_several_pictures_go_to_a_folder_and_one_bad_one_does_not_stop_the_rest(
     (tmp_path / "bad.png").write_bytes(picture.read_bytes()[:300])
     result = rectify(tmp_path / "bad.png", picture, "-o", tmp_path / "out", camera=camera_file)
     assert result.returncode == 1
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["small.png"]
-    assert result.stderr.splitlines()[-1] == "fisheyerec rectify: 1 of 2 pictures failed"
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["manifest.jsonl", "small.png"]
+    assert result.stderr.splitlines()[-1] == "fisheyerec rectify: 1 of 2 files failed"
 
 
 def test_grey_sixteen_bit_and_transparency_survive(small, tmp_path):
@@ -113,7 +130,15 @@ BAD = {
     "lens file with NaN": (["{picture}"], {"camera": "{nan}"}, r"fx"),
     "lens file without k4": (["{picture}"], {"camera": "{short}"}, r"k4"),
     "view of 180 degrees": (["{picture}", "--fov-deg", "180"], {}, r"fov_deg in \(0, 180\).*got 180"),
-    "two views": (["{picture}", "--fov-deg", "90", "--focal", "30"], {}, r"one of --fov-deg, --focal and --balance"),
+    "two views": (
+        ["{picture}", "--fov-deg", "90", "--focal", "30"],
+        {},
+        r"one of --view, --fov-deg, --focal and --balance",
+    ),
+    "unknown projection": (["{picture}", "--projection", "fish"], {}, r"projection in \('pinhole', .*got 'fish'"),
+    "mode of a cylinder": (["{picture}", "--projection", "cylindrical", "--balance", "1"], {}, r"a cylindrical view"),
+    "unknown view": (["{picture}", "--view", "best"], {}, r"mode in \('edge_matched', .*got 'best'"),
+    "view and focal": (["{picture}", "--view", "keep-all", "--focal", "30"], {}, r"one of --view, --fov-deg"),
     "balance above 1": (["{picture}", "--balance", "2"], {}, r"balance in \[0, 1\], got 2"),
     "negative focal": (["{picture}", "--focal", "-3"], {}, r"focal length above 0, got -3"),
     "size": (["{picture}", "--size", "axb"], {}, r"--size as WIDTHxHEIGHT.*got 'axb'"),
@@ -186,27 +211,3 @@ def test_a_calibrated_picture_never_imports_torch(tmp_path):
 def test_version_and_help():
     assert run("--version").stdout.strip() == fr.__version__
     assert "rectify" in run("--help").stdout
-
-
-# --- Choosing a view ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("balance", [0, 0.5, 1])
-def test_balance_goes_from_all_valid_to_all_kept(balance):
-    camera = fr.FisheyeCamera.load(ROOM_CAMERA)
-    view = views.balanced(camera, balance, camera.image_size)
-    _, valid = fr.numpy.rectify(np.zeros(camera.image_size, np.uint8), camera, view)
-    corners, seen = view.project(camera.unproject([[-0.5, 383.5], [1023.5, 383.5], [511.5, -0.5], [511.5, 767.5]])[0])
-    inside = seen & (np.abs(corners - [511.5, 383.5]) <= [512 + 1e-6, 384 + 1e-6]).all(-1)
-    assert valid.all() == (balance == 0)
-    assert inside.all() == (balance == 1)
-
-
-def test_a_view_that_is_only_valid_could_not_be_wider():
-    camera = fr.FisheyeCamera.load(ROOM_CAMERA)
-    focal = float(views.valid_only(camera, (768, 1024)).params[0])
-    wider = fr.PinholeCamera.from_focal(focal * 0.999, (768, 1024))
-    rays, _ = wider.unproject([[-0.5, -0.5], [1023.5, -0.5], [511.5, -0.5], [-0.5, 383.5]])
-    points, valid = camera.project(rays)
-    on_picture = valid & (np.abs(points - [511.5, 383.5]) <= [512, 384]).all(-1)
-    assert not on_picture.all()

@@ -74,6 +74,8 @@ RESAMPLE = {
 
 LAYER = {
     "view_is_no_camera": (lambda: fr.DistortionRectification(100), TypeError, "view as a camera", "int"),
+    "camera_is_a_view": (lambda: fr.DistortionRectification(VIEW, camera=VIEW), TypeError, "camera as a FisheyeCamera", "PinholeCamera"),
+    "no_params_and_no_camera": (lambda: fr.DistortionRectification(VIEW)(IMAGE), TypeError, "params, as the layer has no camera", "None"),
     "unknown_padding": (lambda: fr.DistortionRectification(VIEW, padding="wrap"), ValueError, "padding in", "'wrap'"),
     "unknown_interpolation": (lambda: fr.DistortionRectification(VIEW, interpolation=1), ValueError, "interpolation in", "1"),
 }  # fmt: skip
@@ -81,6 +83,7 @@ LAYER = {
 LAYER_CALL = {
     "params_of_another_count": (lambda: layer(IMAGE, torch.zeros(2, 4)), ValueError, r"params of shape \(8,\) or \(B, 8\)", r"\(2, 4\)", "FisheyeCamera"),
     "params_of_integers": (lambda: layer(IMAGE, torch.zeros(2, 8).int()), ValueError, "params of a floating dtype", "int32", "FisheyeCamera"),
+    "image_of_another_size_than_its_camera": (lambda: layer(IMAGE[..., 1:], None, camera=CAMERA), ValueError, "image of the size of camera", r"\(", "rectify"),
     "params_of_another_batch": (lambda: layer(IMAGE, torch.zeros(3, 8)), ValueError, r"camera.params of shape \(B, 8\) with B = 2", r"\(3, 8\)", "rectify"),
     "image_of_3_dimensions": (lambda: layer(IMAGE[0], torch.zeros(8)), ValueError, "image of shape", r"\(3, 20, 24\)", "rectify"),
     "image_of_1_dimension": (lambda: layer(IMAGE[0, 0, 0], torch.zeros(8)), ValueError, "image of shape", r"\(24,\)", "rectify"),

@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 
 import fisheyerec as fr
 from fisheyerec import rectifier as module
-from fisheyerec.cli import _json_line, app
+from fisheyerec.cli import app
+from fisheyerec.cli.estimate import _json_line
 from fisheyerec.lens_chart import SIZE, camera_from_chart, chart_from_camera
 from fisheyerec.network import FishEyeRecNet
 from fisheyerec.pictures import Picture, read_picture, write_picture
@@ -108,7 +109,7 @@ def test_a_point_of_the_frame_is_the_same_point_of_the_working_copy(size):
     """A ramp of coordinates, resized as the network sees it, says where each pixel came from."""
     height, width = size
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    seen = module._frame(np.stack([x, y, 0 * x], -1), 192)
+    seen = module.network_frame(np.stack([x, y, 0 * x], -1), 192)
     small = seen.shape[:2]
     points = np.stack(np.meshgrid(np.arange(small[1]), np.arange(small[0])), -1).astype(float)
     eight = fr.FisheyeCamera([100, 100, 0, 0, 0, 0, 0, 0], small)
@@ -121,7 +122,7 @@ def test_a_point_of_the_frame_is_the_same_point_of_the_working_copy(size):
 
 @pytest.mark.parametrize("size", [*SIZES, (16, 1600), (1600, 16)])
 def test_frames_keep_the_shape_within_a_pixel_and_have_a_middle(size):
-    frame = module._frame(np.zeros((*size, 3), np.uint8), 192)
+    frame = module.network_frame(np.zeros((*size, 3), np.uint8), 192)
     assert max(frame.shape[:2]) == 192
     assert all(side % 2 == 0 for side in frame.shape[:2])
     assert abs(min(frame.shape[:2]) - 192 * min(size) / max(size)) <= 1
@@ -270,8 +271,18 @@ def test_options_that_contradict_are_refused(told, ramp):
     view = fr.PinholeCamera.from_fov(90, (30, 40))
     with pytest.raises(ValueError, match="view alone"):
         told(ramp, view=view, fov_deg=90)
-    with pytest.raises(ValueError, match="one of fov_deg, focal and balance"):
+    with pytest.raises(ValueError, match="one of mode, fov_deg, focal and balance"):
         told(ramp, focal=90, fov_deg=90, refine=False)
+
+
+@pytest.mark.parametrize("rotation", [None, fr.view_rotation(10, 5, 20)], ids=["straight", "turned"])
+def test_a_mode_of_view_for_and_a_rotation_are_taken(told, rotation):
+    photo = np.random.default_rng(3).integers(0, 256, (60, 80), np.uint8)
+    result = told(photo, view="keep_all", size=(30, 40), rotation=rotation, refine=False)
+    view = fr.view_for(result.camera, (30, 40), "keep_all")
+    np.testing.assert_array_equal(result.view.params, view.params)
+    expected = fr.numpy.rectify(photo, result.camera, view, rotation=rotation).image
+    np.testing.assert_array_equal(result.image, expected)
 
 
 # --- What is known of the result ------------------------------------------------------------------
@@ -306,10 +317,28 @@ def test_confidence_falls_with_the_error_it_expects():
     errors = [module._expected_error_px(chart, sigma**2 * np.eye(SIZE)) for sigma in (0.0, 0.001, 0.01, 0.1)]
     assert errors[0] == 0
     assert (np.diff(errors) > 0).all()
-    # A principal point that is uncertain by 0.01 of half a side, 1.28 px, either way; the view follows a little.
+
+
+def test_an_uncertain_principal_point_hardly_counts():
+    """1.28 px either way shift the picture by 1.8 px RMS and bend it by a tenth of that."""
     only = np.zeros((SIZE, SIZE))
     only[5, 5] = only[6, 6] = 0.01**2
-    np.testing.assert_allclose(module._expected_error_px(chart, only), 1.28 * 2**0.5, rtol=0.2)
+    assert 0 < module._expected_error_px(Told.chart.numpy(), only) < 0.3 * 1.28 * 2**0.5
+
+
+def test_the_expected_error_is_that_of_random_lenses():
+    chart, covariance = Told.chart.numpy(), np.diag([6e-3, 6e-3, 3e-3, 9e-3, 0.03, 6e-3, 6e-3, 1e-3]) ** 2
+    size = (256, 256)
+    charts = np.random.default_rng(0).multivariate_normal(chart, covariance, 600)
+    cameras = fr.FisheyeCamera(camera_from_chart(torch.from_numpy(np.stack([chart, *charts])), size), size)
+    view = fr.PinholeCamera.edge_matched(cameras, size)
+    grid = torch.cartesian_prod(*[torch.linspace(0, 255, 9, dtype=torch.float64)] * 2).expand(601, -1, -1)
+    mean, *others = cameras.project(view.unproject(grid)[0])[0].numpy()
+    # x' = s x + a, y' = s y + b
+    one, zero = np.ones(len(mean)), np.zeros(len(mean))
+    columns = np.stack([np.concatenate(c) for c in (mean.T, (one, zero), (zero, one))], -1)
+    squares = [np.linalg.lstsq(columns, np.concatenate(other.T))[1][0] / len(mean) for other in others]
+    np.testing.assert_allclose(module._expected_error_px(chart, covariance), np.mean(squares) ** 0.5, rtol=0.15)
 
 
 def test_a_photo_without_lines_still_has_an_answer(told):
@@ -417,7 +446,10 @@ COMMAND_BAD = {
     ),
     "camera of several": (["estimate", "room.png", "straight.png", "-o", "a.json"], r"with one picture, got 2"),
     "camera suffix": (["estimate", "room.png", "-o", "a.txt", "--weights", "{weights}"], r"suffix \.json or \.yaml"),
-    "two views": (["rectify", "room.png", "-o", "out.png", "--focal", "3", "--fov-deg", "3"], r"one of --fov-deg"),
+    "two views": (
+        ["rectify", "room.png", "-o", "out.png", "--focal", "3", "--fov-deg", "3"],
+        r"one of --view, --fov-deg",
+    ),
 }
 
 

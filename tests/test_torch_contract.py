@@ -31,7 +31,7 @@ def noise(*shape, dtype=torch.float32, seed=0):
 # --- opcheck --------------------------------------------------------------------------------------
 
 # Name: dtype, (B, C), channels_last, lenses, views, rotations, source and target models, interpolation, padding.
-KB, PINHOLE = "kannala_brandt", "pinhole"
+KB, PINHOLE, CYLINDER, PANINI = "kannala_brandt", "pinhole", "cylindrical", "panini"
 SAMPLES = {
     "rectify": (torch.float32, (2, 3), False, 2, 1, None, (KB, PINHOLE), "bilinear", "zeros"),
     "distort": (torch.float32, (2, 3), False, 2, 1, None, (PINHOLE, KB), "bilinear", "zeros"),
@@ -47,6 +47,9 @@ SAMPLES = {
     "nearest": (torch.float32, (2, 3), True, 2, 1, 2, (KB, PINHOLE), "nearest", "zeros"),
     "between_views": (torch.float32, (2, 3), False, 2, 1, 2, (PINHOLE, PINHOLE), "bilinear", "zeros"),
     "between_lenses": (torch.float32, (2, 3), False, 2, 1, 2, (KB, KB), "bilinear", "zeros"),
+    "cylindrical": (torch.float32, (2, 3), False, 2, 1, 2, (KB, CYLINDER), "bilinear", "zeros"),
+    "panini": (torch.float64, (1, 2), True, 1, 1, None, (KB, PANINI), "bilinear", "zeros"),
+    "distort_panini": (torch.float32, (2, 3), False, 1, 2, 1, (PANINI, KB), "bilinear", "border"),
     "empty_batch": (torch.float32, (0, 3), False, 1, 1, 1, (KB, PINHOLE), "bilinear", "zeros"),
     "no_channels": (torch.float32, (2, 0), False, 1, 1, None, (KB, PINHOLE), "bilinear", "zeros"),
 }
@@ -56,9 +59,12 @@ def sample_arguments(name, grad):
     dtype, shape, channels_last, lenses, views, rotations, models, interpolation, padding = SAMPLES[name]
     grad = grad and dtype.is_floating_point
     params_dtype = torch.float64 if dtype == torch.float64 else torch.float32
+    of_view = lambda count, *more: torch.tensor([[*VIEW.params, *more]], dtype=params_dtype).repeat(count, 1)  # noqa: E731
     of_model = {
         KB: lambda count: LENSES[:count].to(params_dtype),
-        PINHOLE: lambda count: torch.from_numpy(VIEW.params).to(params_dtype).repeat(count, 1),
+        PINHOLE: of_view,
+        CYLINDER: of_view,
+        PANINI: lambda count: of_view(count, 0.8),
     }
     image = noise(*shape, *SIZE, dtype=dtype)
     image = image.contiguous(memory_format=torch.channels_last) if channels_last else image
@@ -240,6 +246,25 @@ def test_the_layer_learns_its_view():
     layer = fr.DistortionRectification(fr.PinholeCamera(params, VIEW.image_size))
     assert [p is params for p in layer.parameters()] == [True]
     layer(noise(2, 3, *SIZE), LENSES[:2]).sum().backward()
+    assert (params.grad != 0).all()
+
+
+@pytest.mark.parametrize("params", [LENSES[0], LENSES[:2]], ids=["one", "batch"])
+def test_the_layer_with_a_camera_of_its_own_stands_in_a_sequence(params):
+    image = noise(2, 3, *SIZE)
+    layer = fr.DistortionRectification(VIEW, camera=fr.FisheyeCamera(params, SIZE))
+    model = nn.Sequential(layer, nn.Conv2d(3, 4, 3)).half().float()
+    assert torch.equal(model(image), model[1](fr.DistortionRectification(VIEW)(image, params)))
+    assert torch.equal(layer(image, LENSES[1]), fr.DistortionRectification(VIEW)(image, LENSES[1]))
+    assert [name for name, _ in model.named_parameters()] == ["1.weight", "1.bias"]
+    assert repr(layer.camera) in repr(model)
+
+
+def test_the_layer_learns_its_camera():
+    params = nn.Parameter(LENSES[0].clone())
+    layer = fr.DistortionRectification(VIEW, camera=fr.FisheyeCamera(params, SIZE))
+    assert [p is params for p in layer.parameters()] == [True]
+    layer(noise(2, 3, *SIZE)).sum().backward()
     assert (params.grad != 0).all()
 
 

@@ -41,13 +41,14 @@ from fisheyerec.training.batches import AugmentedPairs, Batch, collate, load_bat
 from fisheyerec.training.log import TrainingLog  # noqa: E402
 from fisheyerec.training.sources import DecodedSource, Source, Sources  # noqa: E402
 from fisheyerec.training.synthesis import SyntheticPairs  # noqa: E402
-from fisheyerec.training.train import MODERN, PAPER, TrainingOptions  # noqa: E402
+from fisheyerec.training.train import MODERN, PAPER, RONG, TrainingOptions  # noqa: E402
 
 CLASSES = 3
 SIDE = 64
 RUN = TrainingOptions(
     num_classes=CLASSES, steps=8, batch_size=4, log_every=3, validate_every=4, checkpoint_every=2, validation_pairs=4
 )
+RUN_RONG = dataclasses.replace(RUN, network="rong", recipe=RONG)
 TIMES = {"pictures_per_s", "eta_s"}
 
 
@@ -391,14 +392,15 @@ def train_and_die(folder):
     run_training(folder, workers=1)
 
 
-def test_a_stopped_run_goes_on_as_if_it_had_not_been(tiny_network, tmp_path):
+@pytest.mark.parametrize("options", [RUN, RUN_RONG], ids=lambda options: options.network)
+def test_a_stopped_run_goes_on_as_if_it_had_not_been(tiny_network, tmp_path, options):
     """In the middle of a row of the log and of a round of checkpoints."""
-    run_training(tmp_path / "unbroken")
+    run_training(tmp_path / "unbroken", options)
     made = []
-    run_training(tmp_path / "stopped", on_step=lambda step, _: made.append(step), stop=lambda: made[-1] == 5)
+    run_training(tmp_path / "stopped", options, on_step=lambda step, _: made.append(step), stop=lambda: made[-1] == 5)
     assert made == [1, 2, 3, 4, 5]
     assert [path.name for path in checkpoints.list_checkpoints(tmp_path / "stopped")] == ["step-00000005"]
-    run_training(tmp_path / "stopped")
+    run_training(tmp_path / "stopped", options)
     assert_same_run(tmp_path / "unbroken", tmp_path / "stopped")
 
 
@@ -746,7 +748,10 @@ def test_broken_and_missing_pictures_are_named_and_counted(train, scenes):
     ("options", "message"),
     [
         ("--network deep", "expected network in ['compact', 'paper'], got 'deep'"),
-        ("--recipe old", "expected --recipe in ['modern', 'paper'], got 'old'"),
+        ("--recipe old", "expected --recipe in ['modern', 'paper', 'rong'], got 'old'"),
+        ("--network rong", 'and neither with another, got network "rong" with recipe "modern"'),
+        ("--recipe rong", 'and neither with another, got network "compact" with recipe "rong"'),
+        ("--network rong --recipe rong --vgg16 nowhere.pth", "VGG-16 base"),
         ("--precision 8", "expected --precision of 32-true, bf16-mixed or 16-mixed, got '8'"),
         ("--classes 2", "expected labels up to the number of classes, 2, in"),
         ("--accumulate 3", "expected batch_size as a multiple of processes x accumulate = 3, got 4"),

@@ -3,7 +3,7 @@
 // Pixels   Integer coordinates are pixel CENTRES: an image of width W spans [-0.5, W - 0.5] and its centre is
 //          (W - 1) / 2. This is OpenCV's convention; COLMAP's origin lies half a pixel further up and left.
 // Frames   x right, y down, z forward. theta is the angle between a ray and +z, in radians, [0, pi].
-// Order    pinhole: fx, fy, cx, cy.   Kannala-Brandt: fx, fy, cx, cy, k1, k2, k3, k4.
+// Order    pinhole and other views: fx, fy, cx, cy (Panini: d).   Kannala-Brandt: fx, fy, cx, cy, k1, k2, k3, k4.
 // Invalid  is a value: projections answer `bool`, and every comparison is written so that NaN falls on the
 //          invalid side.
 //

@@ -34,6 +34,14 @@ FISHEYEREC_INLINE T atan2_upper(T y, T x) {
   return select(x < zero, pi<float> - quadrant, quadrant);
 }
 
+// atan2(y, x) in [-pi, pi].
+template <class T>
+FISHEYEREC_INLINE T atan2_signed(T y, T x) {
+  const Mask<T> below = y < splat<T>(0);
+  const T angle = atan2_upper(select(below, -y, y), x);
+  return select(below, -angle, angle);
+}
+
 // sin(theta) and cos(theta) for theta in [0, pi].
 FISHEYEREC_INLINE void sin_cos(double theta, double& sin_theta, double& cos_theta) {
   sin_theta = std::sin(theta);
@@ -56,6 +64,14 @@ FISHEYEREC_INLINE void sin_cos(T theta, T& sin_theta, T& cos_theta) {
       1.0f - u * 0.5f + u * u * (0.041666653007268906f + u * (-0.0013887654058635235f + u * 2.446383768983651e-05f));
   sin_theta = select(beyond_135_deg, -s, select(beyond_45_deg, c, s));
   cos_theta = select(beyond_135_deg, -c, select(beyond_45_deg, -s, c));
+}
+
+// The same for theta in [-pi, pi].
+template <class T>
+FISHEYEREC_INLINE void sin_cos_signed(T theta, T& sin_theta, T& cos_theta) {
+  const Mask<T> below = theta < splat<T>(0);
+  sin_cos(select(below, -theta, theta), sin_theta, cos_theta);
+  sin_theta = select(below, -sin_theta, sin_theta);
 }
 
 }  // namespace fisheyerec

@@ -1,8 +1,12 @@
 // From a run of target pixels to the coordinates they read in the source image, and the adjoint.
 #pragma once
 
+#include "../geometry/cylindrical.h"
+#include "../geometry/equirectangular.h"
 #include "../geometry/kannala_brandt.h"
+#include "../geometry/panini.h"
 #include "../geometry/pinhole.h"
+#include "../geometry/stereographic.h"
 #include "piecewise.h"
 #include "resample.h"
 
@@ -33,6 +37,10 @@ struct Camera {
   CameraModel model;
   Pinhole<S> pinhole;
   KannalaBrandt<S> kannala_brandt;
+  Cylindrical<S> cylindrical;
+  Equirectangular<S> equirectangular;
+  Stereographic<S> stereographic;
+  Panini<S> panini;
 };
 
 // The cameras of one image of the batch, ready for the kernels.
@@ -68,29 +76,73 @@ FISHEYEREC_INLINE void with_model(const Camera<S>& camera, const Visit& visit) {
   switch (camera.model) {
     case CameraModel::pinhole: return visit(camera.pinhole);
     case CameraModel::kannala_brandt: return visit(camera.kannala_brandt);
+    case CameraModel::cylindrical: return visit(camera.cylindrical);
+    case CameraModel::equirectangular: return visit(camera.equirectangular);
+    case CameraModel::stereographic: return visit(camera.stereographic);
+    case CameraModel::panini: return visit(camera.panini);
   }
 }
 
-// Where one target pixel lies in the source image.
-template <class S, class Source, class Target, class T>
-FISHEYEREC_INLINE Mask<T> map_pixel(const Geometry<S>& geometry, const Source& source, const Target& target,
-                                    bool rotated, const Pixel<T>& at, Pixel<T>& pixel) {
-  Ray<T> ray;
-  const Mask<T> seen = target.unproject(at, ray);
-  if (rotated) ray = rotate(geometry.source_from_target, ray);
-  return seen & source.project(ray, pixel);
+// The rays of a run, side by side as the kernels read them. Written in whole packs.
+template <class S>
+struct RunRays {
+  alignas(64) S x[run_length], y[run_length], z[run_length];
+
+  template <class T>
+  FISHEYEREC_INLINE Ray<T> load(int i) const {
+    return {load_lanes<T>(x + i), load_lanes<T>(y + i), load_lanes<T>(z + i)};
+  }
+  template <class T>
+  FISHEYEREC_INLINE void store(int i, const Ray<T>& ray) {
+    store_lanes(x + i, ray.x), store_lanes(y + i, ray.y), store_lanes(z + i, ray.z);
+  }
+};
+
+// The rays, in the source camera's frame, of target pixels (columns(i), row); NaN where the target has none.
+template <class S, class Columns>
+FISHEYEREC_INLINE void unproject_run(const Geometry<S>& geometry, int64_t row, int count, const Columns& columns,
+                                     RunRays<S>& rays) {
+  using T = Pack<S>;
+  with_model(geometry.target, [&](const auto& target) {
+    const T nan = splat<T>(std::numeric_limits<S>::quiet_NaN());
+    for (int i = 0; i < count; i += lanes<T>) {
+      Ray<T> ray;
+      const Mask<T> seen = target.unproject(Pixel<T>{columns(i), splat<T>(row)}, ray);
+      if (geometry.rotated) ray = rotate(geometry.source_from_target, ray);
+      ray.z = select(seen, ray.z, nan);
+      rays.store(i, ray);
+    }
+  });
+}
+
+// Where the rays meet the source image; NaN where they do not.
+template <class S>
+FISHEYEREC_INLINE void project_run(const Geometry<S>& geometry, int count, const RunRays<S>& rays, S* x, S* y) {
+  using T = Pack<S>;
+  with_model(geometry.source, [&](const auto& source) {
+    const T nan = splat<T>(std::numeric_limits<S>::quiet_NaN());
+    for (int i = 0; i < count; i += lanes<T>) {
+      Pixel<T> pixel;
+      const Mask<T> live = source.project(rays.template load<T>(i), pixel);
+      store_lanes(x + i, select(live, pixel.x, nan));
+      store_lanes(y + i, select(live, pixel.y, nan));
+    }
+  });
 }
 
 // Whether a row can leave the lens and come back between two nodes of a piece that both see it. Rays of a row of a
 // pinhole lie in a plane: they meet a cone of theta_max up to 90 degrees once, and an unrotated pinhole sees no ray
-// beyond 90 degrees. Towards the rim of a pinhole source coordinates run to infinity, which is not smooth.
-template <class S, class Source, class Target>
-FISHEYEREC_INLINE bool is_piecewise(const Source& source, const Target&, bool rotated) {
-  if constexpr (std::is_same_v<Source, KannalaBrandt<float>> && std::is_same_v<Target, Pinhole<float>>) {
-    return !rotated || source.theta_max <= pi<float> / 2 || source.theta_max >= pi<float>;
-  } else {
-    return std::is_same_v<Source, Pinhole<float>> && std::is_same_v<Target, KannalaBrandt<float>>;
+// beyond 90 degrees. In every unrotated view theta grows to both sides of the middle column. Towards the rim of a view
+// as the source coordinates may run to infinity, which is not smooth.
+template <class S>
+FISHEYEREC_INLINE bool is_piecewise(const Geometry<S>& geometry) {
+  const CameraModel source = geometry.source.model, target = geometry.target.model;
+  if (source != CameraModel::kannala_brandt) {
+    return source == CameraModel::pinhole && target == CameraModel::kannala_brandt;
   }
+  const S theta_max = geometry.source.kannala_brandt.theta_max;
+  const bool narrow = target == CameraModel::pinhole && theta_max <= pi<S> / 2;
+  return target != CameraModel::kannala_brandt && (!geometry.rotated || narrow || theta_max >= pi<S>);
 }
 
 // x, y: where target pixels (column + i, row) lie in the source image; NaN where the ray is invalid. Written in whole
@@ -98,50 +150,57 @@ FISHEYEREC_INLINE bool is_piecewise(const Source& source, const Target&, bool ro
 template <class S>
 FISHEYEREC_NOINLINE void map_run(const Geometry<S>& geometry, int64_t row, int64_t column, int count, S* x, S* y) {
   using T = Pack<S>;
-  const T nan = splat<T>(std::numeric_limits<S>::quiet_NaN());
-  const auto map = [&](const auto& source, const auto& target, auto rotated) {
-    const auto map_pack = [&](T columns, S* to_x, S* to_y) {
-      Pixel<T> pixel;
-      const Mask<T> live = map_pixel(geometry, source, target, rotated.value, Pixel<T>{columns, splat<T>(row)}, pixel);
-      store_lanes(to_x, select(live, pixel.x, nan));
-      store_lanes(to_y, select(live, pixel.y, nan));
-    };
-    if constexpr (sizeof(S) == 4) {
-      if (is_piecewise<S>(source, target, rotated.value)) {
-        constexpr int node_count = run_length / Piecewise::length * Piecewise::node_count;
-        alignas(64) S node_x[node_count], node_y[node_count];
-        const int pieces = (count + Piecewise::length - 1) / Piecewise::length;
-        const T first = splat<T>(column);
-        for (int i = 0; i < pieces * Piecewise::node_count; i += lanes<T>) {
-          map_pack(first + load_lanes<T>(piece_nodes.offset + i), node_x + i, node_y + i);
-        }
-        // First all coefficients, then all pixels: each is a chain of operations that waits for nothing but itself.
-        alignas(64) S coefficients_x[node_count], coefficients_y[node_count];
-        bool smooth = true;
-        for (int i = 0; i < pieces * Piecewise::node_count; i += Piecewise::node_count) {
-          smooth &= fit_piece(node_x + i, coefficients_x + i);
-          smooth &= fit_piece(node_y + i, coefficients_y + i);
-        }
-        for (int piece = 0; smooth && piece < pieces; ++piece) {
-          const int node = piece * Piecewise::node_count, begin = piece * Piecewise::length;
-          evaluate_piece(coefficients_x + node, x + begin);
-          evaluate_piece(coefficients_y + node, y + begin);
-        }
-        if (smooth) return;
-      }
-    }
-    for (int i = 0; i < count; i += lanes<T>) map_pack(count_from<T>(static_cast<S>(column + i)), x + i, y + i);
-  };
   if (!geometry.finite) {
+    const T nan = splat<T>(std::numeric_limits<S>::quiet_NaN());
     for (int i = 0; i < count; i += lanes<T>) store_lanes(x + i, nan), store_lanes(y + i, nan);
     return;
   }
-  with_model(geometry.source, [&](const auto& source) {
-    with_model(geometry.target, [&](const auto& target) {
-      geometry.rotated ? map(source, target, std::true_type{}) : map(source, target, std::false_type{});
-    });
-  });
+  RunRays<S> rays;
+  if constexpr (sizeof(S) == 4) {
+    if (is_piecewise(geometry)) {
+      constexpr int node_count = run_length / Piecewise::length * Piecewise::node_count;
+      alignas(64) S node_x[node_count], node_y[node_count];
+      const int pieces = (count + Piecewise::length - 1) / Piecewise::length;
+      const int nodes = pieces * Piecewise::node_count;
+      const T first = splat<T>(column);
+      unproject_run(geometry, row, nodes, [&](int i) { return first + load_lanes<T>(piece_nodes.offset + i); }, rays);
+      project_run(geometry, nodes, rays, node_x, node_y);
+      // First all coefficients, then all pixels: each is a chain of operations that waits for nothing but itself.
+      alignas(64) S coefficients_x[node_count], coefficients_y[node_count];
+      bool smooth = true;
+      for (int i = 0; i < nodes; i += Piecewise::node_count) {
+        smooth &= fit_piece(node_x + i, coefficients_x + i);
+        smooth &= fit_piece(node_y + i, coefficients_y + i);
+      }
+      for (int piece = 0; smooth && piece < pieces; ++piece) {
+        const int node = piece * Piecewise::node_count, begin = piece * Piecewise::length;
+        evaluate_piece(coefficients_x + node, x + begin);
+        evaluate_piece(coefficients_y + node, y + begin);
+      }
+      if (smooth) return;
+    }
+  }
+  unproject_run(geometry, row, count, [&](int i) { return count_from<T>(static_cast<S>(column + i)); }, rays);
+  project_run(geometry, count, rays, x, y);
 }
+
+// Adds up in packs, and at the end into doubles. Gradients are exactly zero where the ray is invalid, which is where
+// an adjoint may meet 0/0: such lanes are left out.
+template <class T, int count>
+struct GradientSum {
+  T sums[count] = {};
+
+  FISHEYEREC_INLINE void add(const T* gradients, Mask<T> live) {
+    for (int j = 0; j < count; ++j) sums[j] += select(live, gradients[j], splat<T>(0));
+  }
+  FISHEYEREC_INLINE void add_to(double* total) const {
+    for (int j = 0; j < count; ++j) {
+      Scalar<T> values[lanes<T>];
+      store_lanes(values, sums[j]);
+      for (const Scalar<T> value : values) total[j] += static_cast<double>(value);
+    }
+  }
+};
 
 // grad_x, grad_y: gradients to what map_run gave, readable in whole packs and zero beyond count. Adds this run's
 // gradients; beyond the source camera's only where `want_target`.
@@ -151,48 +210,47 @@ FISHEYEREC_NOINLINE void map_run_adjoint(const Geometry<S>& geometry, int64_t ro
                                          GeometryGradient& gradient) {
   if (!geometry.finite) return;
   using T = Pack<S>;
-  const auto adjoint = [&](const auto& source, const auto& target, auto wants_target) {
-    constexpr int source_count = std::decay_t<decltype(source)>::parameter_count;
-    constexpr int target_count = std::decay_t<decltype(target)>::parameter_count;
-    const T zero = splat<T>(0);
-    T source_sum[source_count] = {}, target_sum[target_count] = {}, rotation_sum[9] = {};
-    for (int i = 0; i < count; i += lanes<T>) {
-      const Pixel<T> at{count_from<T>(static_cast<S>(column + i)), splat<T>(row)};
-      const Pixel<T> grad_pixel{load_lanes<T>(grad_x + i), load_lanes<T>(grad_y + i)};
-      // Gradients are exactly zero where the ray is invalid, which is where the adjoint may meet 0/0.
-      const Mask<T> live = (grad_pixel.x != zero) | (grad_pixel.y != zero);
-      Ray<T> target_ray, grad_ray{zero, zero, zero}, grad_target_ray{zero, zero, zero};
-      T grad_source[source_count] = {}, grad_target[target_count] = {}, grad_rotation[9] = {};
-      target.unproject(at, target_ray);
-      const Ray<T> ray = geometry.rotated ? rotate(geometry.source_from_target, target_ray) : target_ray;
-      source.project_adjoint(ray, grad_pixel, grad_ray, grad_source);
-      for (int j = 0; j < source_count; ++j) source_sum[j] += select(live, grad_source[j], zero);
-      if constexpr (wants_target.value) {
-        if (geometry.rotated) {
-          rotate_adjoint(geometry.source_from_target, target_ray, grad_ray, grad_target_ray, grad_rotation);
-          for (int j = 0; j < 9; ++j) rotation_sum[j] += select(live, grad_rotation[j], zero);
-        } else {
-          grad_target_ray = grad_ray;
-        }
-        target.unproject_adjoint(at, grad_target_ray, grad_target);
-        for (int j = 0; j < target_count; ++j) target_sum[j] += select(live, grad_target[j], zero);
-      }
-    }
-    const auto add = [](int parameters, const T* sums, double* total) {
-      for (int j = 0; j < parameters; ++j) {
-        S values[lanes<T>];
-        store_lanes(values, sums[j]);
-        for (const S value : values) total[j] += static_cast<double>(value);
-      }
-    };
-    add(source_count, source_sum, gradient.source);
-    add(target_count, target_sum, gradient.target);
-    add(9, rotation_sum, gradient.source_from_target);
-  };
+  const T zero = splat<T>(0);
+  const auto columns = [&](int i) { return count_from<T>(static_cast<S>(column + i)); };
+  const auto grad_pixel = [&](int i) { return Pixel<T>{load_lanes<T>(grad_x + i), load_lanes<T>(grad_y + i)}; };
+  const auto is_live = [&](const Pixel<T>& grad) { return (grad.x != zero) | (grad.y != zero); };
+  RunRays<S> rays, grad_rays;
+  unproject_run(geometry, row, count, columns, rays);
   with_model(geometry.source, [&](const auto& source) {
-    with_model(geometry.target, [&](const auto& target) {
-      want_target ? adjoint(source, target, std::true_type{}) : adjoint(source, target, std::false_type{});
-    });
+    constexpr int parameters = std::decay_t<decltype(source)>::parameter_count;
+    GradientSum<T, parameters> sum;
+    for (int i = 0; i < count; i += lanes<T>) {
+      const Pixel<T> grad = grad_pixel(i);
+      Ray<T> grad_ray{zero, zero, zero};
+      T grad_params[parameters] = {};
+      source.project_adjoint(rays.template load<T>(i), grad, grad_ray, grad_params);
+      sum.add(grad_params, is_live(grad));
+      grad_rays.store(i, grad_ray);
+    }
+    sum.add_to(gradient.source);
+  });
+  if (!want_target) return;
+  with_model(geometry.target, [&](const auto& target) {
+    constexpr int parameters = std::decay_t<decltype(target)>::parameter_count;
+    GradientSum<T, parameters> sum;
+    GradientSum<T, 9> rotation_sum;
+    for (int i = 0; i < count; i += lanes<T>) {
+      const Pixel<T> at{columns(i), splat<T>(row)};
+      const Mask<T> live = is_live(grad_pixel(i));
+      Ray<T> grad_ray = grad_rays.template load<T>(i);
+      T grad_params[parameters] = {}, grad_rotation[9] = {};
+      if (geometry.rotated) {
+        Ray<T> ray, grad_rotated = grad_ray;
+        target.unproject(at, ray);
+        grad_ray = {zero, zero, zero};
+        rotate_adjoint(geometry.source_from_target, ray, grad_rotated, grad_ray, grad_rotation);
+        rotation_sum.add(grad_rotation, live);
+      }
+      target.unproject_adjoint(at, grad_ray, grad_params);
+      sum.add(grad_params, live);
+    }
+    sum.add_to(gradient.target);
+    rotation_sum.add_to(gradient.source_from_target);
   });
 }
 

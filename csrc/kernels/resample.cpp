@@ -24,11 +24,16 @@ template <class T>
 Camera<T> prepare_camera(const Cameras& cameras, int64_t batch, bool unprojects, bool& finite) {
   const double* params = cameras.params + batch * cameras.stride;
   for (int i = 0; i < parameter_count(cameras.model); ++i) finite = finite && std::isfinite(params[i]);
-  Camera<T> camera{cameras.model, {}, {}};
+  Camera<T> camera{};
+  camera.model = cameras.model;
   if (!finite) return camera;
   switch (cameras.model) {
     case CameraModel::pinhole: camera.pinhole = Pinhole<T>::make(params); break;
     case CameraModel::kannala_brandt: camera.kannala_brandt = KannalaBrandt<T>::make(params, unprojects); break;
+    case CameraModel::cylindrical: camera.cylindrical = Cylindrical<T>::make(params); break;
+    case CameraModel::equirectangular: camera.equirectangular = Equirectangular<T>::make(params); break;
+    case CameraModel::stereographic: camera.stereographic = Stereographic<T>::make(params); break;
+    case CameraModel::panini: camera.panini = Panini<T>::make(params); break;
   }
   return camera;
 }

@@ -12,11 +12,21 @@
 
 namespace fisheyerec {
 
-enum class CameraModel : int32_t { pinhole, kannala_brandt };
+enum class CameraModel : int32_t { pinhole, kannala_brandt, cylindrical, equirectangular, stereographic, panini };
 enum class Interpolation : int32_t { nearest, bilinear };
 enum class Padding : int32_t { zeros, border };
 
-constexpr int parameter_count(CameraModel model) { return model == CameraModel::pinhole ? 4 : 8; }
+// Their names in that order, by which the doors of tier 3 are asked for them.
+constexpr const char* camera_model_names[] = {"pinhole",         "kannala_brandt", "cylindrical",
+                                              "equirectangular", "stereographic",  "panini"};
+
+constexpr int parameter_count(CameraModel model) {
+  switch (model) {
+    case CameraModel::kannala_brandt: return 8;
+    case CameraModel::panini: return 5;
+    default: return 4;
+  }
+}
 
 // One camera per image of the batch; stride 0 repeats one camera for all.
 struct Cameras {
@@ -67,8 +77,8 @@ class Plan {
 // Outgoing gradients of one backward call; null where nobody asked.
 struct Gradients {
   const Image* source;         // the source image's shape and layout, float64 for a float64 source, else float32
-  double* source_params;       // (batch, 8 or 4)
-  double* target_params;       // (batch, 8 or 4)
+  double* source_params;       // (batch, parameter_count)
+  double* target_params;       // (batch, parameter_count)
   double* source_from_target;  // (batch, 9)
 };
 

@@ -18,9 +18,12 @@ using DoubleArray = py::array_t<double, py::array::c_style | py::array::forcecas
 namespace {
 
 fisheyerec::CameraModel camera_model(const std::string& name) {
-  if (name == "pinhole") return fisheyerec::CameraModel::pinhole;
-  if (name == "kannala_brandt") return fisheyerec::CameraModel::kannala_brandt;
-  throw py::value_error("expected a camera model pinhole or kannala_brandt, got " + name);
+  int32_t model = 0;
+  for (const char* known : fisheyerec::camera_model_names) {
+    if (name == known) return static_cast<fisheyerec::CameraModel>(model);
+    ++model;
+  }
+  throw py::value_error("expected a camera model such as pinhole or kannala_brandt, got " + name);
 }
 
 fisheyerec::Cameras as_camera(const std::string& model, const DoubleArray& params) {

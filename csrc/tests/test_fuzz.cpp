@@ -37,6 +37,11 @@ class Random {
   std::mt19937_64 engine_;
 };
 
+// Most often those that are used most.
+constexpr CameraModel models[] = {
+    CameraModel::pinhole,     CameraModel::kannala_brandt,  CameraModel::pinhole,       CameraModel::kannala_brandt,
+    CameraModel::cylindrical, CameraModel::equirectangular, CameraModel::stereographic, CameraModel::panini};
+
 // Half of the time sane, else with a few extremes among the numbers.
 void fill_params(Random& random, CameraModel model, const Shape& shape, double* params) {
   const double focal = std::exp2(random.uniform(-2, 10));
@@ -48,6 +53,7 @@ void fill_params(Random& random, CameraModel model, const Shape& shape, double* 
     const double* k = random.pick(cameras).params + 4;
     for (int i = 0; i < 4; ++i) params[4 + i] = random.once_in(3) ? random.uniform(-2, 2) : k[i];
   }
+  if (model == CameraModel::panini) params[4] = random.uniform(0, 1.5);
   if (random.once_in(2)) {
     for (int64_t times = random.integer(1, 3); times > 0; --times)
       params[random.integer(0, count - 1)] = random.extreme();
@@ -159,7 +165,6 @@ struct Case {
     } while (source_shape.count() + target_shape.count() > 20000);
     if (random.once_in(30)) target_shape.height = 30, target_shape.width = 570;  // enough for several threads
     if (random.once_in(30)) target_shape.height = 0;
-    const CameraModel models[] = {CameraModel::pinhole, CameraModel::kannala_brandt};
     resampling.source.model = random.pick(models), resampling.target.model = random.pick(models);
     const auto fill = [&](Cameras& camera, const Shape& shape, std::vector<double>& params) {
       const int count = parameter_count(camera.model);
@@ -263,8 +268,8 @@ TEST(anything_goes_in_and_nothing_breaks) {
 TEST(points_of_any_size_go_in) {
   Random random(1);
   for (int repeat = 0; repeat < 20000; ++repeat) {
-    double params[8];
-    const CameraModel model = random.once_in(2) ? CameraModel::pinhole : CameraModel::kannala_brandt;
+    double params[8] = {};
+    const CameraModel model = random.pick(models);
     fill_params(random, model, {1, 1, 480, 640}, params);
     double pixel[2] = {random.uniform(0, 640), random.uniform(0, 480)}, ray[3] = {1, 2, 3}, out[3];
     if (random.once_in(2)) pixel[0] = random.extreme(), ray[random.integer(0, 2)] = random.extreme();
@@ -273,6 +278,6 @@ TEST(points_of_any_size_go_in) {
     CHECK(valid <= 1 && (valid == 0) == std::isnan(out[0]));
     unproject({model, params, 0}, pixel, 1, out, &valid);
     CHECK(valid <= 1 && (valid == 0) == std::isnan(out[0]));
-    kannala_brandt_theta_max(params + (model == CameraModel::pinhole ? 0 : 4));
+    kannala_brandt_theta_max(params + 4);
   }
 }

@@ -50,7 +50,7 @@ TEST(what_is_not_smooth_is_refused) {
 }
 
 // Every lens at sizes from a thumbnail to its own: short focal lengths bend too much and are computed pixel by pixel.
-TEST(the_map_in_float_is_the_map_in_double) {
+void check_map(CameraModel target_model, const double* rotation) {
   for (const NamedCamera& camera : cameras) {
     check::subject = camera.name;
     for (const int width : {32, 256, camera.width}) {
@@ -60,12 +60,20 @@ TEST(the_map_in_float_is_the_map_in_double) {
       std::copy(camera.params, camera.params + 8, params);
       for (int i = 0; i < 2; ++i) params[i] *= scale;
       for (int i = 2; i < 4; ++i) params[i] = (params[i] + 0.5) * scale - 0.5;
-      const double view[4] = {width / 2.5, width / 2.5, (width - 1) / 2.0, (height - 1) / 2.0};
+      const double view[5] = {width / 2.5, width / 2.5, (width - 1) / 2.0, (height - 1) / 2.0, 0.8};
       const auto geometry = [&](auto zero) {
         using S = decltype(zero);
         Geometry<S> g{};
-        g.source = {CameraModel::kannala_brandt, {}, KannalaBrandt<S>::make(params, false)};
-        g.target = {CameraModel::pinhole, Pinhole<S>::make(view), {}};
+        g.source.model = CameraModel::kannala_brandt;
+        g.source.kannala_brandt = KannalaBrandt<S>::make(params, false);
+        g.target.model = target_model;
+        g.target.pinhole = Pinhole<S>::make(view);
+        g.target.cylindrical = Cylindrical<S>::make(view);
+        g.target.equirectangular = Equirectangular<S>::make(view);
+        g.target.stereographic = Stereographic<S>::make(view);
+        g.target.panini = Panini<S>::make(view);
+        g.rotated = rotation != nullptr;
+        for (int i = 0; i < 9 && rotation; ++i) g.source_from_target[i] = static_cast<S>(rotation[i]);
         g.finite = true;
         return g;
       };
@@ -88,5 +96,15 @@ TEST(the_map_in_float_is_the_map_in_double) {
         }
       }
     }
+  }
+}
+
+TEST(the_map_in_float_is_the_map_in_double) {
+  const double turned[9] = {0.98006658,  0,           0.19866933, 0.01986693, 0.99498744,
+                            -0.09800666, -0.19767681, 0.09999983, 0.97515388};
+  for (const CameraModel target : {CameraModel::pinhole, CameraModel::cylindrical, CameraModel::equirectangular,
+                                   CameraModel::stereographic, CameraModel::panini}) {
+    check_map(target, nullptr);
+    check_map(target, turned);
   }
 }

@@ -80,6 +80,16 @@ void check_corners() {
   CHECK_NEAR(c, -1, tolerance);
   sin_cos(tiny, s, c);
   CHECK(s == tiny && c == 1);
+  for (const T y : {T(0.3), T(1), T(4)}) {
+    for (const T x : {T(-2), T(-0.1), T(0.7), T(3)}) {
+      CHECK(atan2_signed(y, x) == atan2_upper(y, x) && atan2_signed(-y, x) == -atan2_upper(y, x));
+      T s_below, c_below;
+      sin_cos(y < pi<T> ? y : pi<T>, s, c);
+      sin_cos_signed(-(y < pi<T> ? y : pi<T>), s_below, c_below);
+      CHECK(s_below == -s && c_below == c);
+    }
+  }
+  CHECK(std::isnan(atan2_signed(nan, T(1))) && std::isnan(atan2_signed(T(-1), nan)));
 }
 
 TEST(axes_and_diagonals_are_exact_to_rounding) {

@@ -92,9 +92,13 @@ struct Parameters {
 };
 
 fisheyerec::CameraModel camera_model(const std::string& name, const char* op) {
-  if (name == "pinhole") return fisheyerec::CameraModel::pinhole;
-  STD_TORCH_CHECK(name == "kannala_brandt", op, "(): expected a camera model pinhole or kannala_brandt, got ", name);
-  return fisheyerec::CameraModel::kannala_brandt;
+  int32_t model = 0;
+  for (const char* known : fisheyerec::camera_model_names) {
+    if (name == known) return static_cast<fisheyerec::CameraModel>(model);
+    ++model;
+  }
+  STD_TORCH_CHECK(false, op, "(): expected a camera model such as pinhole or kannala_brandt, got ", name);
+  return {};
 }
 
 // The arguments that forward and backward share, checked once.

@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+from ..replacement import replacement
 from .adapter import parse_adapter
 from .camodocal import parse_camodocal
 from .colmap import COLMAP_PIXEL_CENTRE, colmap_text, is_colmap, parse_colmap
@@ -108,7 +109,8 @@ def write_camera_file(path: str | os.PathLike[str], camera_file: CameraFile, *, 
         if camera_file.model not in (KANNALA_BRANDT, PINHOLE):
             raise other_model(camera_file.model, (KANNALA_BRANDT, PINHOLE))
         written = text(checked(camera_file.model, camera_file.width, camera_file.height, camera_file.params), suffix)
-    _replace_text(Path(path), written)
+    with replacement(path) as temporary:
+        temporary.write_text(written, encoding="utf-8", newline="\n")
 
 
 @contextmanager
@@ -147,17 +149,3 @@ def _given_size(image_size: tuple[int, int] | None) -> tuple[int, int]:
         raise ValueError(f"image_size: expected (height, width), got {image_size!r:.60}")
     height, width = image_size
     return width, height
-
-
-def _replace_text(path: Path, text: str) -> None:
-    """Writes the file whole or not at all; raises OSError if it cannot be written."""
-    # Not tempfile: its files are private to the user (0600), and os.replace would keep that.
-    temporary = path.with_name(f".camera-{os.urandom(8).hex()}.tmp")
-    try:
-        with open(temporary, "x", encoding="utf-8", newline="\n") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())  # else a power cut may leave the new name with no content
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)  # gone already where the replacing succeeded

@@ -18,6 +18,7 @@ import numpy as np
 from PIL import Image
 
 from .. import pixel
+from ..baselines import aleman_flores, bukhari, rong
 from ..cameras import FisheyeCamera, PinholeCamera
 from ..lens_chart import camera_from_chart, population
 from ..numpy import rectify
@@ -69,17 +70,28 @@ def _one_call(refined: bool, weights: str | os.PathLike[str] | None = None) -> M
     return lambda image: rectifier.estimate(image, refine=refined).camera
 
 
+def _zhang() -> Method:
+    from ..baselines import zhang  # needs scipy, which others do not
+
+    return zhang.estimate
+
+
 METHODS: dict[str, Callable[[], Method]] = {
     "identity": lambda: identity,
     "mean-lens": lambda: mean_lens,
     "lines": lambda: lines,
+    "rong": lambda: functools.partial(rong.estimate, network=rong.load()),
     "network": lambda: _one_call(False),
     "ours": lambda: _one_call(True),
+    "bukhari": lambda: bukhari.estimate,
+    "zhang": _zhang,
+    "aleman-flores": lambda: aleman_flores.estimate,
     "oracle-centred": lambda: oracle_centred,
     "oracle": lambda: oracle,
 }
 """What `fisheyerec evaluate --method` knows: names and how to make the method, which may load weights. "network" is the
-shipped one alone, "ours" the one call: network, then refinement on lines."""
+shipped one alone, "ours" the one call: network, then refinement on lines. Those of baselines/ bear their authors'
+names."""
 
 
 def load_methods(
@@ -94,6 +106,7 @@ def load_methods(
     Raises:
         ValueError: an unknown name, or a file of another kind.
         OSError: a weights file cannot be read.
+        ImportError: a method's extra is not installed.
     """
     names = list(names)
     known = METHODS | {name: functools.partial(_one_call, False, path) for name, path in (weights or {}).items()}

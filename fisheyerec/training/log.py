@@ -18,6 +18,7 @@ COLUMNS = (
     "eta_s",
     "loss",
     "lens",
+    "classification",
     "landing",
     "rectification",
     "parsing",

@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from .. import lens_chart, pixel
 from ..cameras import FisheyeCamera, PinholeCamera
-from ..network import LensEstimate
+from ..network import LensClasses, LensEstimate
 
 UNLABELLED = 0
 
@@ -70,6 +70,24 @@ def lens_loss(estimate: LensEstimate, params: Tensor, image_size: tuple[int, int
 # aspect.
 _IMPORTANCE = torch.tensor([0.25, 0.25, 0.25, 0.25, 0.05, 0.02, 0.02, 0.01])
 _DOUBT = 0.02
+
+
+def classification_loss(estimate: LensClasses, params: Tensor, image_size: tuple[int, int]) -> Tensor:
+    """Cross-entropy of the class whose profile is nearest to that of the true lens.
+
+    Args:
+        estimate: of the network, for B pictures.
+        params: (B, 8), the true cameras.
+        image_size: (height, width).
+
+    Returns:
+        A scalar, the mean over lenses that have a chart; 0 where none has.
+    """
+    truth = lens_chart.chart_from_camera(params, image_size)[:, lens_chart.PROFILE]
+    known = truth.isfinite().all(-1)
+    label = torch.cdist(truth[known], estimate.classes[:, lens_chart.PROFILE]).argmin(-1)
+    loss = functional.cross_entropy(estimate.logits[known].float(), label, reduction="sum")
+    return loss / known.sum().clamp(min=1)
 
 
 def displacement(camera: FisheyeCamera, view: PinholeCamera, params: Tensor, points_a_side: int = 8) -> Tensor:

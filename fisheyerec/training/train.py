@@ -1,4 +1,4 @@
-"""Training FishEyeRecNet: one loop on Lightning Fabric, for one process or many, that resumes exactly."""
+"""Training networks that tell the lens: one loop on Lightning Fabric, for one process or many, resuming exactly."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 import zlib
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +17,21 @@ import torch
 from lightning_fabric import Fabric
 from torch import Tensor, nn
 
-from ..network import FishEyeRecNet
+from ..baselines.rong import RongNetwork
+from ..network import FishEyeRecNet, LensNetwork
 from ..weights import fill, read_tensors, save_network
 from .batches import AugmentedPairs, Batch, load_batches
 from .checkpoints import list_checkpoints, load_checkpoint, save_checkpoint
 from .log import TrainingLog
-from .losses import UNLABELLED, coarse_labels, displacement, lens_loss, parsing_loss, rectification_loss
+from .losses import (
+    UNLABELLED,
+    classification_loss,
+    coarse_labels,
+    displacement,
+    lens_loss,
+    parsing_loss,
+    rectification_loss,
+)
 from .sources import SourceError, Sources
 from .synthesis import SyntheticPairs
 from .validation import Validation, validate
@@ -33,10 +42,11 @@ class TrainingRecipe:
     """How to train: losses, optimiser, schedule and data.
 
     Attributes:
-        name: "paper" or "modern".
+        name: "paper", "modern" or "rong".
         rectification: lambda_1, the weight of L_r.
         parsing: lambda_2, the weight of L_sp.
         lens: weight of the loss on the lens.
+        classification: weight of the cross-entropy of a network that classifies lenses.
         landing: weight of the mean displacement in pixels.
         optimizer: "adagrad" or "adamw".
         learning_rate: at its highest.
@@ -52,6 +62,7 @@ class TrainingRecipe:
     rectification: float
     parsing: float
     lens: float
+    classification: float
     landing: float
     optimizer: str
     learning_rate: float
@@ -63,9 +74,10 @@ class TrainingRecipe:
     schedule: str
 
 
-PAPER = TrainingRecipe("paper", 1.0, 15.0, 0.0, 0.0, "adagrad", 1e-3, 0.0, 0.0, "standard", False, 0.5, "tenth")
-MODERN = TrainingRecipe("modern", 0.0, 0.02, 1.0, 0.0, "adamw", 1e-3, 0.02, 2.0, "wide", True, 0.0, "cosine")
-RECIPES = {recipe.name: recipe for recipe in (PAPER, MODERN)}
+PAPER = TrainingRecipe("paper", 1.0, 15.0, 0.0, 0.0, 0.0, "adagrad", 1e-3, 0.0, 0.0, "standard", False, 0.5, "tenth")
+MODERN = TrainingRecipe("modern", 0.0, 0.02, 1.0, 0.0, 0.0, "adamw", 1e-3, 0.02, 2.0, "wide", True, 0.0, "cosine")
+RONG = replace(MODERN, name="rong", parsing=0.0, lens=0.0, classification=1.0)
+RECIPES = {recipe.name: recipe for recipe in (PAPER, MODERN, RONG)}
 
 # Not the displacement: most of it is the principal point, of which no network has learnt anything.
 _BEST_BY = "validation_profile_r2"
@@ -78,7 +90,7 @@ class TrainingOptions:
     """What a run is; two runs of the same options on one kind of processor give the same weights."""
 
     network: str = "compact"
-    """"paper" or "compact"."""
+    """"paper", "compact" or, with the recipe of this name only, "rong"."""
     num_classes: int = 8
     scene_parsing: bool = True
     """False: "-SPN -SL"."""
@@ -149,9 +161,7 @@ def train(
     recipe = options.recipe
     checkpoint = next(reversed(list_checkpoints(folder)), None)
     fabric.seed_everything(options.seed, verbose=False)
-    network = FishEyeRecNet.from_design(
-        {"network": options.network, "num_classes": options.num_classes, "scene_parsing": options.scene_parsing}
-    )
+    network = _build(options)
     size = (network.longer_side, network.longer_side)
     pairs = SyntheticPairs(
         sources, recipe=recipe.pairs, size=size, seed=options.seed, split="training", rectified=recipe.rectification > 0
@@ -160,6 +170,8 @@ def train(
         SyntheticPairs(validation_sources, size=size, seed=options.seed, split="validation"), options.validation_pairs
     )
     if vgg16 is not None and checkpoint is None:
+        if not isinstance(network, FishEyeRecNet):
+            raise ValueError(f"train(): expected vgg16 for a network with the paper's VGG-16 base, got {vgg16}")
         network.load_vgg16(vgg16)
     if start_from is not None and checkpoint is None:
         fill(network, read_tensors(start_from), str(start_from))
@@ -235,7 +247,7 @@ def compute_losses(
     """Give the weighted sum of a recipe's losses over a batch, and each of them.
 
     Args:
-        network: a FishEyeRecNet, perhaps wrapped.
+        network: a LensNetwork, perhaps wrapped.
         batch: on the network's device.
         recipe: the weights.
         frozen_parsing: lambda_2 = 0.
@@ -245,10 +257,13 @@ def compute_losses(
     size = output.camera.image_size
     losses: dict[str, Tensor] = {}
     weights = {"rectification": recipe.rectification, "lens": recipe.lens, "landing": recipe.landing}
+    weights["classification"] = recipe.classification
     if output.image is not None:
         losses["rectification"] = rectification_loss(output.image, batch.rectified.float() / 255)
     if recipe.lens:
         losses["lens"] = lens_loss(output.estimate, batch.camera, size)
+    if recipe.classification:
+        losses["classification"] = classification_loss(output.estimate, batch.camera, size)
     losses["landing"] = displacement(output.camera, output.view, batch.camera).mean()
     if output.parsing is not None and recipe.parsing and not frozen_parsing:
         weights["parsing"] = recipe.parsing
@@ -259,9 +274,23 @@ def compute_losses(
     return total, losses
 
 
+def _build(options: TrainingOptions) -> LensNetwork:
+    """Build the network of a run, which a recipe must teach what it emits."""
+    if (options.network == "rong") != (options.recipe.classification > 0):
+        raise ValueError(
+            'train(): expected network "rong" with recipe "rong", and neither with another, '
+            f'got network "{options.network}" with recipe "{options.recipe.name}"'
+        )
+    if options.network == "rong":
+        return RongNetwork()
+    return FishEyeRecNet.from_design(
+        {"network": options.network, "num_classes": options.num_classes, "scene_parsing": options.scene_parsing}
+    )
+
+
 def _step(
     fabric: Fabric,
-    network: FishEyeRecNet,
+    network: LensNetwork,
     model: Any,
     optimizer: Any,
     batch: Batch,
@@ -297,7 +326,7 @@ def _step(
     return sums
 
 
-def _parsing_balances(fabric: Fabric, network: FishEyeRecNet, labels: Tensor, share: int) -> list[float]:
+def _parsing_balances(fabric: Fabric, network: LensNetwork, labels: Tensor, share: int) -> list[float]:
     """Weigh the parts of a batch by their labelled pixels, so that together they give the loss of the whole batch."""
     if network.parsing is None:
         return [1.0] * (len(labels) // share)
@@ -356,7 +385,7 @@ def _decoded(sources: Sources, largest_label: int, warn: Callable[[str], None]) 
 
 
 def _resume(
-    path: Path, network: FishEyeRecNet, optimizer: Any, fabric: Fabric, options: TrainingOptions, names: int
+    path: Path, network: LensNetwork, optimizer: Any, fabric: Fabric, options: TrainingOptions, names: int
 ) -> dict[str, Any]:
     """Put a checkpoint into network, optimiser and gradient scaler, and give the rest of its state."""
     weights, state, saved = load_checkpoint(path)

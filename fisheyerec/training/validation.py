@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from .. import lens_chart
-from ..network import FishEyeRecNet
+from ..network import LensNetwork
 from .batches import AugmentedPairs, collate
 from .losses import UNLABELLED, coarse_labels, displacement
 from .synthesis import SyntheticPairs
@@ -42,7 +42,7 @@ class ValidationResult:
 
 
 @torch.no_grad()
-def validate(network: FishEyeRecNet, validation: Validation, device: torch.device) -> ValidationResult:
+def validate(network: LensNetwork, validation: Validation, device: torch.device) -> ValidationResult:
     """Run a network in inference mode over the validation pairs and go back to training mode."""
     network.eval()
     distances, psnrs, charts, hits, labelled = [], [], [], 0, 0

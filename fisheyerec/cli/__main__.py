@@ -1,0 +1,5 @@
+"""`python -m fisheyerec.cli`."""
+
+from . import main
+
+main()

@@ -1,0 +1,221 @@
+"""`fisheyerec rectify`."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .estimating import REFINE_HELP, SAVE_CAMERA_HELP, WEIGHTS_HELP, check_save_camera
+from .messages import fail, say
+from .progress import file_progress
+from .sizes import parse_size
+
+if TYPE_CHECKING:
+    from ..file_rectifiers import BlindRectifier, CalibratedRectifier, FileRectifier, ViewOptions
+    from ..folders import Plan, Task
+    from ..manifest import Manifest
+
+
+def rectify(
+    inputs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="INPUT",
+            help="Fisheye pictures and videos, folders of them, or patterns in quotes such as 'days/**/*.jpg'.",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="File to write; for several files, a folder and patterns, a folder.")
+    ],
+    camera: Annotated[
+        Path | None,
+        typer.Option(
+            help="Lens file of the camera that took them (JSON, YAML, OpenCV, kalibr...); estimated if left out."
+        ),
+    ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option(help="edge-matched, keep-all, valid-only or valid-rectangle (the largest, off centre)."),
+    ] = None,
+    projection: Annotated[
+        str, typer.Option(help="pinhole, cylindrical, equirectangular, stereographic or panini.")
+    ] = "pinhole",
+    fov_deg: Annotated[
+        float | None, typer.Option(help="Field of view across the result's width; below 180 for pinhole.")
+    ] = None,
+    focal: Annotated[float | None, typer.Option(help="Focal length of the result in pixels.")] = None,
+    balance: Annotated[
+        float | None, typer.Option(help="0: only valid pixels; 1: keep the whole picture; or between.")
+    ] = None,
+    pan: Annotated[float, typer.Option(help="Turn the view to the right, in degrees.")] = 0,
+    tilt: Annotated[float, typer.Option(help="Turn the view upwards, in degrees.")] = 0,
+    roll: Annotated[float, typer.Option(help="Turn the view clockwise, in degrees.")] = 0,
+    size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT of the result; the picture's own if left out.")] = None,
+    interpolation: Annotated[str, typer.Option(help="bilinear, or nearest for label maps.")] = "bilinear",
+    refine: Annotated[bool, typer.Option(help=REFINE_HELP)] = True,
+    save_camera: Annotated[Path | None, typer.Option(help=SAVE_CAMERA_HELP)] = None,
+    weights: Annotated[Path | None, typer.Option(help=WEIGHTS_HELP)] = None,
+    format: Annotated[
+        str | None, typer.Option(help="Format of what is written to a folder: jpg, png, tif, mp4...; as it was.")
+    ] = None,
+    quality: Annotated[
+        int | None, typer.Option(min=1, max=100, help="Of JPEG, WebP and AVIF (95 if left out) and of video (60).")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Files at a time; one a core if left out.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Leave out what manifest.jsonl in the folder says is done; redo what changed."),
+    ] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and write nothing.")] = False,
+) -> None:
+    """Make fisheye pictures and videos straight: with the lens file of a calibrated camera, or by what each shows.
+
+    Without --camera, what has no fisheye distortion is written as it is.
+    Without --view, --fov-deg, --focal or --balance the view is edge-matched: the nearest edge of the fisheye picture
+    stays at the edge of the result, so nothing in it is empty.
+    A folder is searched to the bottom and made again below the output, with a record of what was done and with which
+    camera, manifest.jsonl. A file that fails does not stop the rest: the exit status is 1 then.
+    """
+    from .._arguments import check_interpolation
+    from ..file_rectifiers import SUFFIXES, ViewOptions
+    from ..folders import plan
+    from ..manifest import Manifest
+
+    try:
+        if (view, fov_deg, focal, balance).count(None) < 3:
+            raise ValueError("expected one of --view, --fov-deg, --focal and --balance, got several")
+        check_interpolation("rectify", interpolation)
+        mode = view.replace("-", "_") if view is not None else None
+        options = ViewOptions(mode, fov_deg, focal, balance, projection, parse_size(size), pan, tilt, roll)
+        planned = plan(inputs, output, suffixes=SUFFIXES, target_suffix=_target_suffix(format))
+        check_save_camera([task.source for task in planned.tasks], save_camera)
+        todo, manifest = planned.tasks, None
+        count = jobs or min(os.cpu_count() or 1, len(todo))
+        if camera is None:
+            rectifier: FileRectifier = _blind(options, interpolation, quality, weights, refine)
+        else:
+            if save_camera is not None or weights is not None:
+                raise ValueError("expected --camera, or --save-camera and --weights to estimate one, got both")
+            rectifier = _calibrated(camera, options, interpolation, quality, count)
+        if planned.folder is not None:
+            manifest = Manifest(planned.folder)
+        elif resume or format is not None:
+            raise ValueError("expected a folder as --output with --resume and --format, got a file")
+        if resume and manifest is not None:
+            settings = rectifier.settings()
+            todo = [task for task in todo if not manifest.is_done(task, settings)]
+        _check_files(todo, may_replace=overwrite or resume)
+        if dry_run:
+            for task in todo:
+                typer.echo(f"{task.source} -> {task.target}")
+            return
+        if planned.folder is not None:
+            for folder in [planned.folder, *sorted({task.target.parent for task in todo})]:
+                folder.mkdir(parents=True, exist_ok=True)
+    except (ValueError, OSError, ImportError) as error:
+        raise fail("rectify", error) from error
+    _run(planned, todo, rectifier, manifest, count, save_camera)
+
+
+def _run(
+    planned: Plan,
+    todo: list[Task],
+    rectifier: FileRectifier,
+    manifest: Manifest | None,
+    jobs: int,
+    save_camera: Path | None,
+) -> None:
+    """Rectify, say and write down what became of each file."""
+    from ..bulk import run
+    from ..replacement import remove_leftovers
+
+    settings, failures, made = rectifier.settings(), 0, 0
+    try:
+        remove_leftovers(task.target for task in todo)
+        with (
+            file_progress(len(todo)) as progress,
+            contextlib.closing(run(todo, rectifier, jobs=jobs, on_frame=progress.on_frame)) as outcomes,
+        ):
+            for task, seconds, report, error in outcomes:
+                progress.on_file(task)
+                if manifest is not None:
+                    camera, view = (None, None) if report is None else (report.camera, report.view)
+                    manifest.add(task, settings, seconds=seconds, camera=camera, view=view, error=error)
+                if report is not None:
+                    made += 1
+                    progress.echo(f"{task.target}: {report.summary}, {seconds * 1e3:.1f} ms")
+                    if save_camera is not None:
+                        report.camera.save(save_camera)
+                if error is not None:
+                    failures += 1
+                    progress.complain(f"fisheyerec rectify: {error}")
+    except OSError as error:
+        raise fail("rectify", error) from error
+    except KeyboardInterrupt:
+        say("rectify", f"interrupted after {made} of {len(todo)} files")
+        raise typer.Exit(130) from None
+    skipped = len(planned.tasks) - len(todo)
+    if skipped:
+        typer.echo(f"{planned.folder}: {skipped} of {len(planned.tasks)} files were done before")
+    if failures and len(planned.tasks) > 1:
+        say("rectify", f"{failures} of {len(todo)} files failed")
+    if failures:
+        raise typer.Exit(1 if made or len(planned.tasks) > 1 else 2)
+
+
+def _target_suffix(format: str | None) -> Callable[[str], str]:
+    from ..file_rectifiers import SUFFIXES, VIDEO_SUFFIXES, target_suffix
+
+    if format is None:
+        return functools.partial(target_suffix, picture_suffix=None, video_suffix=None)
+    suffix = f".{format.lower().removeprefix('.')}"
+    if suffix not in SUFFIXES:
+        raise ValueError(f"expected --format such as jpg, png or mp4, got {format!r}")
+    if suffix in VIDEO_SUFFIXES:
+        return functools.partial(target_suffix, picture_suffix=None, video_suffix=suffix)
+    return functools.partial(target_suffix, picture_suffix=suffix, video_suffix=None)
+
+
+def _calibrated(
+    camera: Path, options: ViewOptions, interpolation: str, quality: int | None, jobs: int
+) -> CalibratedRectifier:
+    from ..cameras import FisheyeCamera
+    from ..file_rectifiers import CalibratedRectifier
+
+    fisheye = FisheyeCamera.load(camera)
+    threads = max(1, (os.cpu_count() or 1) // jobs)
+    return CalibratedRectifier(fisheye, options.view_of(fisheye), options.rotation(), interpolation, quality, threads)
+
+
+def _blind(
+    options: ViewOptions, interpolation: str, quality: int | None, weights: Path | None, refine: bool
+) -> BlindRectifier:
+    from ..file_rectifiers import BlindRectifier
+
+    rectifier = BlindRectifier(options, interpolation, quality, weights, refine)
+    rectifier.rectifier()  # broken weights are told before anything is done
+    return rectifier
+
+
+def _check_files(tasks: list[Task], *, may_replace: bool) -> None:
+    """Refuse what would fail at the end only: a picture's suffix, files that are there, PyAV that is not."""
+    from ..file_rectifiers import is_video
+    from ..pictures import picture_format_of
+
+    for task in tasks:
+        if not is_video(task.source):
+            picture_format_of(task.target)
+    if any(is_video(task.source) for task in tasks):
+        from .. import video  # noqa: F401  says what to install
+    there = [] if may_replace else [task.target for task in tasks if task.target.exists()]
+    if there:
+        others = f" and {len(there) - 1} others" if len(there) > 1 else ""
+        raise ValueError(f"expected a new file, or --overwrite, got {there[0]}{others}")
