@@ -19,7 +19,7 @@ import table2
 from pages import table, write_between_markers
 
 import fisheyerec as fr
-from fisheyerec.training.evaluate import METHODS, Evaluation, evaluate_methods, load_methods
+from fisheyerec.training.evaluate import Evaluation, evaluate_methods, load_methods
 from fisheyerec.training.pairs import MANIFEST, camera_entry, write_png, write_text
 from fisheyerec.training.reports import write_sheet
 
@@ -61,13 +61,11 @@ def draw_pairs(folder: Path) -> None:
     write_text(folder / MANIFEST, "".join(lines))
 
 
-def contact_sheet(path: Path) -> Evaluation:
-    """Draw scenes, judge the methods of SHOWN on them, and lay everything out like Fig. 3 of the paper."""
+def contact_sheet(path: Path, methods: list[str]) -> None:
+    """Draw scenes, judge methods on them, and lay everything out like Fig. 3 of the paper."""
     with tempfile.TemporaryDirectory() as name:
         draw_pairs(Path(name))
-        evaluation = evaluate_methods(name, load_methods([method for method in SHOWN if method in METHODS]))
-        write_sheet(path, name, evaluation)
-    return evaluation
+        write_sheet(path, name, evaluate_methods(name, load_methods(methods)))
 
 
 # --- The page -------------------------------------------------------------------------------------
@@ -210,11 +208,11 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         evaluation, setting = table1.load(parsed.results)
         times = table2.load(parsed.results)
-        contact_sheet(parsed.results / SHEET)
+        contact_sheet(parsed.results / SHEET, [name for name in SHOWN if name in evaluation.methods])
         write_text(parsed.page or parsed.results.with_suffix(".md"), page(evaluation, setting, times))
         if parsed.readme is not None:
             write_between_markers(parsed.readme, COMMAND, readme_table(evaluation, times))
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         print(f"results.py: {error}", file=sys.stderr)
         return 2
     return 0

@@ -2,9 +2,9 @@
 
     python benchmarks/table1.py --jobs 2 --weights "ours -SL=runs/sl/best.safetensors"
 
-Makes the test set as `fisheyerec synthesize ../shared/data/scenes --sources 100 --split validation --seed 1` does, unless
-it is there, judges the methods as `fisheyerec evaluate` does, and stores one row a picture and method in docs/results. A run
-that was killed goes on by the same command; `benchmarks/results.py` makes the page.
+Makes the test set as `fisheyerec synthesize ../shared/data/scenes --sources 100 --split validation --seed 1` does,
+unless it is there, judges the methods as `fisheyerec evaluate` does, and stores one row a picture and method in
+docs/results. A run that was killed goes on by the same command; `benchmarks/results.py` makes the page.
 """
 
 from __future__ import annotations
@@ -352,7 +352,7 @@ def main(arguments: list[str] | None = None) -> int:
         evaluation, setting = measure(parsed)
         if parsed.out is not None:
             store(parsed.out, evaluation, setting)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         print(f"table1.py: {error}", file=sys.stderr)
         return 2
     for name, reason in evaluation.skipped.items():
