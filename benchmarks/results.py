@@ -72,7 +72,8 @@ def contact_sheet(path: Path, methods: list[str]) -> None:
 
 PAGE = """# Results
 
-Made by `{command}` from what `benchmarks/table1.py` and `benchmarks/table2.py` stored in this folder's `results/`.
+Made by `{command}` from what `benchmarks/table1.py` and `benchmarks/table2.py` stored in
+[results](results).
 
 ## Accuracy: Table 1
 
@@ -97,7 +98,7 @@ What the numbers show, and what they do not:
 - **Budgets are {budgets}**: the column "trained on" says which network a row has, and how many pictures it has seen.
   Rows of unequal budget are not to be compared for what the semantic branch is worth. One seed each.
 - **The training set is small**: 986 labelled street photographs and 1,300 without labels, against the paper's 2,450.
-  No ImageNet weights to begin with. Nothing here tells what `FishEyeRecNet.paper()` would reach.
+  No ImageNet weights to begin with.{untrained}
 - **The test photographs are streets and facades**, some of them correlated frames of one video. Photographs are for
   research and non-commercial use, and not part of this project.
 - The classical methods are written anew from their publications; each file in `fisheyerec/baselines/` says where it had
@@ -149,6 +150,9 @@ not needed to rectify: the one call tells it beside the camera.
 """
 
 
+_UNTRAINED = " Nothing here tells what `FishEyeRecNet.paper()` would reach."
+
+
 def page(evaluation: Evaluation, setting: dict[str, Any], times: dict[str, Any]) -> str:
     """Render the page."""
     summary = evaluation.summary()["methods"]
@@ -166,6 +170,7 @@ def page(evaluation: Evaluation, setting: dict[str, Any], times: dict[str, Any])
         machine=setting["machine"],
         centred=_known(centred["displacement_px"], ".1f"),
         centred_psnr=_known(centred["psnr"], ".1f"),
+        untrained="" if "paper" in dict(seen) else _UNTRAINED,
         budgets="equal" if len(seen) <= 1 else "not equal",
         reference=table1.REFERENCE,
         skipped=skipped if evaluation.skipped else "",
