@@ -97,7 +97,7 @@ What the numbers show, and what they do not:
   that scale tan theta together draw the same straight picture. The field of view stands in the table below.
 - **Budgets are {budgets}**: the column "trained on" says which network a row has, and how many pictures it has seen.
   Rows of unequal budget are not to be compared for what the semantic branch is worth. One seed each.
-- **The training set is small**: 986 labelled street photographs and 1,300 without labels, against the paper's 2,450.
+- **The training set is small**: 2,161 photographs, 986 of them with labels, against the paper's 2,450 with 150 classes.
   No ImageNet weights to begin with.{untrained}
 - **The test photographs are streets and facades**, some of them correlated frames of one video. Photographs are for
   research and non-commercial use, and not part of this project.
