@@ -17,10 +17,17 @@ def table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 
 def write_between_markers(path: Path, command: str, text: str) -> None:
-    """Replace what lies between `<!-- made by: COMMAND -->` and the next `<!-- end -->`."""
-    before, rest = path.read_text(encoding="utf-8").split(f"<!-- made by: {command} -->\n", 1)
-    after = rest.split("<!-- end -->", 1)[1]
-    path.write_text(f"{before}<!-- made by: {command} -->\n{text}\n<!-- end -->{after}", encoding="utf-8")
+    """Replace what lies between `<!-- made by: COMMAND -->` and the next `<!-- end -->`.
+
+    Raises:
+        ValueError: the file has no such markers.
+    """
+    start, end = f"<!-- made by: {command} -->\n", "<!-- end -->"
+    before, found, rest = path.read_text(encoding="utf-8").partition(start)
+    _, ends, after = rest.partition(end)
+    if not (found and ends):
+        raise ValueError(f"expected {start.strip()} and, further down, {end} in {path}")
+    path.write_text(f"{before}{start}{text}\n{end}{after}", encoding="utf-8")
 
 
 def machine() -> str:

@@ -19,7 +19,7 @@ import table2
 from pages import table, write_between_markers
 
 import fisheyerec as fr
-from fisheyerec.training.evaluate import METHODS, Evaluation, evaluate_methods, load_methods
+from fisheyerec.training.evaluate import Evaluation, evaluate_methods, load_methods
 from fisheyerec.training.pairs import MANIFEST, camera_entry, write_png, write_text
 from fisheyerec.training.reports import write_sheet
 
@@ -61,20 +61,19 @@ def draw_pairs(folder: Path) -> None:
     write_text(folder / MANIFEST, "".join(lines))
 
 
-def contact_sheet(path: Path) -> Evaluation:
-    """Draw scenes, judge the methods of SHOWN on them, and lay everything out like Fig. 3 of the paper."""
+def contact_sheet(path: Path, methods: list[str]) -> None:
+    """Draw scenes, judge methods on them, and lay everything out like Fig. 3 of the paper."""
     with tempfile.TemporaryDirectory() as name:
         draw_pairs(Path(name))
-        evaluation = evaluate_methods(name, load_methods([method for method in SHOWN if method in METHODS]))
-        write_sheet(path, name, evaluation)
-    return evaluation
+        write_sheet(path, name, evaluate_methods(name, load_methods(methods)))
 
 
 # --- The page -------------------------------------------------------------------------------------
 
 PAGE = """# Results
 
-Made by `{command}` from what `benchmarks/table1.py` and `benchmarks/table2.py` stored in this folder's `results/`.
+Made by `{command}` from what `benchmarks/table1.py` and `benchmarks/table2.py` stored in
+[results](results).
 
 ## Accuracy: Table 1
 
@@ -98,8 +97,8 @@ What the numbers show, and what they do not:
   that scale tan theta together draw the same straight picture. The field of view stands in the table below.
 - **Budgets are {budgets}**: the column "trained on" says which network a row has, and how many pictures it has seen.
   Rows of unequal budget are not to be compared for what the semantic branch is worth. One seed each.
-- **The training set is small**: 986 labelled street photographs and 1,300 without labels, against the paper's 2,450.
-  No ImageNet weights to begin with. Nothing here tells what `FishEyeRecNet.paper()` would reach.
+- **The training set is small**: 2,161 photographs, 986 of them with labels, against the paper's 2,450 with 150 classes.
+  No ImageNet weights to begin with.{untrained}
 - **The test photographs are streets and facades**, some of them correlated frames of one video. Photographs are for
   research and non-commercial use, and not part of this project.
 - The classical methods are written anew from their publications; each file in `fisheyerec/baselines/` says where it had
@@ -151,6 +150,9 @@ not needed to rectify: the one call tells it beside the camera.
 """
 
 
+_UNTRAINED = " Nothing here tells what `FishEyeRecNet.paper()` would reach."
+
+
 def page(evaluation: Evaluation, setting: dict[str, Any], times: dict[str, Any]) -> str:
     """Render the page."""
     summary = evaluation.summary()["methods"]
@@ -168,6 +170,7 @@ def page(evaluation: Evaluation, setting: dict[str, Any], times: dict[str, Any])
         machine=setting["machine"],
         centred=_known(centred["displacement_px"], ".1f"),
         centred_psnr=_known(centred["psnr"], ".1f"),
+        untrained="" if "paper" in dict(seen) else _UNTRAINED,
         budgets="equal" if len(seen) <= 1 else "not equal",
         reference=table1.REFERENCE,
         skipped=skipped if evaluation.skipped else "",
@@ -210,11 +213,11 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         evaluation, setting = table1.load(parsed.results)
         times = table2.load(parsed.results)
-        contact_sheet(parsed.results / SHEET)
+        contact_sheet(parsed.results / SHEET, [name for name in SHOWN if name in evaluation.methods])
         write_text(parsed.page or parsed.results.with_suffix(".md"), page(evaluation, setting, times))
         if parsed.readme is not None:
             write_between_markers(parsed.readme, COMMAND, readme_table(evaluation, times))
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         print(f"results.py: {error}", file=sys.stderr)
         return 2
     return 0

@@ -397,7 +397,7 @@ def main(arguments: list[str] | None = None) -> int:
         stored = measure(parsed)
         parsed.out.mkdir(parents=True, exist_ok=True)
         write_text(parsed.out / TIMES, json.dumps(stored, indent=1) + "\n")
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         print(f"table2.py: {error}", file=sys.stderr)
         return 2
     print(f"{stored['machine']}, {stored['threads']} threads, torch {stored['torch']}, {stored['pictures']} pictures\n")
