@@ -352,7 +352,7 @@ def main(arguments: list[str] | None = None) -> int:
         evaluation, setting = measure(parsed)
         if parsed.out is not None:
             store(parsed.out, evaluation, setting)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         print(f"table1.py: {error}", file=sys.stderr)
         return 2
     for name, reason in evaluation.skipped.items():
