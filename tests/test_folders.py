@@ -264,7 +264,7 @@ def command(*arguments):
 
 
 def run(*arguments, **options):
-    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=60, check=False, **options)
+    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=300, check=False, **options)
 
 
 @pytest.fixture
@@ -379,7 +379,7 @@ def test_bars_are_shown_on_a_terminal_and_lines_go_where_they_belong(photos, std
     os.close(mine)
     if not stdout_too:
         lines = process.stdout.read()
-    assert process.wait(timeout=60) == 1
+    assert process.wait(timeout=300) == 1
     assert "4/4" in shown.decode()
     assert re.search(rf"{BEGINNING}fisheyerec rectify: read_picture.*broken\.png", shown.decode())
     assert (shown if stdout_too else lines.encode()).count(b"focal") == 3
@@ -397,7 +397,7 @@ def test_an_early_end_leaves_whole_files_and_resume_does_the_rest(photos, number
         assert process.poll() is None
         time.sleep(0.01)
     process.send_signal(number)
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=300)
     finished = [path for path in Path("out").rglob("*.png") if not path.name.startswith(".")]
     assert 3 <= len(finished) < 40
     for path in finished:
