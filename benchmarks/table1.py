@@ -2,8 +2,8 @@
 
     python benchmarks/table1.py --jobs 2 --weights "ours -SL=runs/sl/best.safetensors"
 
-Makes the test set as `fisheyerec synthesize ../shared/data/scenes --sources 100 --split validation --seed 1` does,
-unless it is there, judges the methods as `fisheyerec evaluate` does, and stores one row a picture and method in
+Makes the test set, unless it is there, as `fisheyerec synthesize ../shared/data/scenes --sources 100 --split validation
+--seed 1` does, judges the methods as `fisheyerec evaluate` does, and stores one row a picture and method in
 docs/results. A run that was killed goes on by the same command; `benchmarks/results.py` makes the page.
 """
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from .cameras import Camera
 
 INTERPOLATIONS = ("bilinear", "nearest")
@@ -41,6 +43,26 @@ def check_camera(function: str, name: str, camera: Any) -> None:
     """Raise TypeError unless this is a camera."""
     if not isinstance(camera, Camera):
         raise TypeError(f"{function}(): expected {name} as a camera, got {type(camera).__name__}")
+
+
+def check_single(names: Names, source: Any, target: Any, source_from_target: Any) -> np.ndarray | None:
+    """Raise unless these are two single cameras and a rotation, and give that as (3, 3) numbers."""
+    for name, camera in ((names.source, source), (names.target, target)):
+        check_camera(names.function, name, camera)
+        if camera.params.ndim != 1:
+            raise ValueError(f"{names.function}(): expected one {name}, got a batch of {camera.params.shape[0]}")
+    return None if source_from_target is None else rotation_matrix(names.function, source_from_target)
+
+
+def rotation_matrix(function: str, rotation: Any) -> np.ndarray:
+    """Give a rotation as (3, 3) numbers, or raise."""
+    try:
+        matrix = np.asarray(rotation, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"{function}(): expected rotation as (3, 3) numbers, got {rotation!r:.60}") from None
+    if matrix.shape != (3, 3):
+        raise ValueError(f"{function}(): expected rotation of shape (3, 3), got {matrix.shape}")
+    return matrix
 
 
 def check_size(names: Names, size: tuple[int, ...], source: Camera) -> None:

@@ -12,14 +12,16 @@ from ._arguments import (
     RECTIFY,
     RESAMPLE,
     Names,
-    check_camera,
     check_interpolates,
     check_interpolation,
     check_padding,
+    check_single,
     check_size,
+    rotation_matrix,
 )
 from ._numpy import Plan as _KeptCoordinates
 from ._numpy import resample as _resample_channels
+from .antialiasing import antialiased
 from .cameras import Camera, FisheyeCamera
 
 
@@ -40,6 +42,7 @@ def rectify(
     rotation: Any = None,
     interpolation: str = "bilinear",
     padding: str = "zeros",
+    antialias: bool = False,
     threads: int | None = None,
 ) -> Resampled:
     """Show a fisheye picture as another view sees it.
@@ -51,6 +54,7 @@ def rectify(
         rotation: (3, 3) camera_from_view, turning the view, as `view_rotation` gives it; None for none.
         interpolation: "bilinear" or "nearest" (labels).
         padding: what lies outside the picture: "zeros" or "border".
+        antialias: whether to average where the picture shrinks; slower by the square of how much it does, at most 64.
         threads: how many threads; None for OpenMP's default (OMP_NUM_THREADS).
 
     Returns:
@@ -60,7 +64,7 @@ def rectify(
         TypeError: an argument of another type.
         ValueError: another shape, dtype or name, or a batch of cameras.
     """
-    return _resample(RECTIFY, image, camera, view, rotation, interpolation, padding, threads)
+    return resample_named(RECTIFY, image, camera, view, rotation, interpolation, padding, antialias, threads)
 
 
 def distort(
@@ -71,11 +75,12 @@ def distort(
     rotation: Any = None,
     interpolation: str = "bilinear",
     padding: str = "zeros",
+    antialias: bool = False,
     threads: int | None = None,
 ) -> Resampled:
     """Show a picture as a fisheye camera would have taken it: the mirror of `rectify`, its arguments and errors."""
-    view_from_camera = None if rotation is None else _rotation("distort", rotation).T
-    return _resample(DISTORT, picture, view, camera, view_from_camera, interpolation, padding, threads)
+    view_from_camera = None if rotation is None else rotation_matrix("distort", rotation).T
+    return resample_named(DISTORT, picture, view, camera, view_from_camera, interpolation, padding, antialias, threads)
 
 
 def resample(
@@ -86,6 +91,7 @@ def resample(
     source_from_target: Any = None,
     interpolation: str = "bilinear",
     padding: str = "zeros",
+    antialias: bool = False,
     threads: int | None = None,
 ) -> Resampled:
     """Resample a picture from any camera into any other: the one op behind `rectify` and `distort`.
@@ -97,6 +103,7 @@ def resample(
         source_from_target: (3, 3) rotation of the target's rays into the source's frame; None for none.
         interpolation: "bilinear" or "nearest".
         padding: "zeros" or "border".
+        antialias: whether to average where the picture shrinks, as in `rectify`.
         threads: how many threads; None for OpenMP's default (OMP_NUM_THREADS).
 
     Returns:
@@ -105,7 +112,9 @@ def resample(
     Raises:
         TypeError, ValueError: as `rectify`.
     """
-    return _resample(RESAMPLE, image, source, target, source_from_target, interpolation, padding, threads)
+    return resample_named(
+        RESAMPLE, image, source, target, source_from_target, interpolation, padding, antialias, threads
+    )
 
 
 class Plan:
@@ -137,7 +146,7 @@ class Plan:
             TypeError, ValueError: as `resample`.
         """
         check_padding(PLAN.function, padding)
-        rotation = _check_cameras(PLAN, source, target, source_from_target)
+        rotation = check_single(PLAN, source, target, source_from_target)
         _check_threads(PLAN, threads)
         self.source, self.target, self._threads = source, target, threads or 0
         self._coordinates = _KeptCoordinates(
@@ -177,7 +186,7 @@ class Plan:
         return Resampled(out.reshape(*self.target.image_size, *image.shape[2:]), self.valid)
 
 
-def _resample(
+def resample_named(
     names: Names,
     image: np.ndarray,
     source: Camera,
@@ -185,28 +194,39 @@ def _resample(
     source_from_target: Any,
     interpolation: str,
     padding: str,
+    antialias: bool,
     threads: int | None,
 ) -> Resampled:
+    """Resample in the name of another function of the package, and in its words where it raises."""
     check_padding(names.function, padding)
     channels = _as_channels(names, image, interpolation)
-    rotation = _check_cameras(names, source, target, source_from_target)
+    if antialias and interpolation != "bilinear":
+        raise ValueError(f"{names.function}(): expected interpolation 'bilinear' for antialias, got {interpolation!r}")
+    rotation = check_single(names, source, target, source_from_target)
     check_size(names, image.shape[:2], source)
     _check_threads(names, threads)
-    height, width = target.image_size
-    out, valid = _resample_channels(
-        channels,
-        source.model,
-        source.numpy().params,
-        target.model,
-        target.numpy().params,
-        rotation,
-        height,
-        width,
-        interpolation,
-        padding,
-        threads or 0,
-    )
-    return Resampled(out.reshape(height, width, *image.shape[2:]), valid)
+
+    def take(channels: np.ndarray, source: Camera, target: Camera) -> tuple[np.ndarray, np.ndarray]:
+        return _resample_channels(
+            channels,
+            source.model,
+            source.numpy().params,
+            target.model,
+            target.numpy().params,
+            rotation,
+            *target.image_size,
+            interpolation,
+            padding,
+            threads or 0,
+        )
+
+    if antialias:
+        cameras = (source.numpy(), target.numpy())
+        out = antialiased(channels, *cameras, rotation, lambda *picture_and_cameras: take(*picture_and_cameras)[0])
+        valid = take(channels[..., :1], source, target)[1]
+    else:
+        out, valid = take(channels, source, target)
+    return Resampled(out.reshape(*target.image_size, *image.shape[2:]), valid)
 
 
 def _as_channels(names: Names, image: np.ndarray, interpolation: str) -> np.ndarray:
@@ -225,25 +245,6 @@ def _as_channels(names: Names, image: np.ndarray, interpolation: str) -> np.ndar
     return image if image.ndim == 3 else image[..., None]
 
 
-def _check_cameras(names: Names, source: Camera, target: Camera, source_from_target: Any) -> np.ndarray | None:
-    """Give the rotation as (3, 3) numbers."""
-    for name, camera in ((names.source, source), (names.target, target)):
-        check_camera(names.function, name, camera)
-        if camera.params.ndim != 1:
-            raise ValueError(f"{names.function}(): expected one {name}, got a batch of {camera.params.shape[0]}")
-    return None if source_from_target is None else _rotation(names.function, source_from_target)
-
-
 def _check_threads(names: Names, threads: int | None) -> None:
     if threads is not None and not (isinstance(threads, int) and threads >= 1):
         raise ValueError(f"{names.function}(): expected threads of at least 1, as an integer, got {threads!r}")
-
-
-def _rotation(function: str, rotation: Any) -> np.ndarray:
-    try:
-        matrix = np.asarray(rotation, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(f"{function}(): expected rotation as (3, 3) numbers, got {rotation!r:.60}") from None
-    if matrix.shape != (3, 3):
-        raise ValueError(f"{function}(): expected rotation of shape (3, 3), got {matrix.shape}")
-    return matrix

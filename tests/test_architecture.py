@@ -28,6 +28,7 @@ ORDER = [
     "views",
     "_arguments",
     "_ops",
+    "antialiasing",
     "numpy",
     "rectification",
     "pictures",
@@ -51,8 +52,19 @@ ORDER = [
 
 # Calibrated work on NumPy arrays and the command line start without torch: it may only be imported inside functions.
 WITHOUT_TORCH = [
-    *("__init__", "pixel", "camera_files", "lens_models", "cameras", "wide_views", "views", "_arguments", "numpy"),
-    *("pictures", "replacement", "folders", "manifest", "video", "file_rectifiers", "bulk", "cli"),
+    *("__init__", "pixel", "camera_files", "lens_models", "cameras", "wide_views", "views", "_arguments"),
+    *(
+        "antialiasing",
+        "numpy",
+        "pictures",
+        "replacement",
+        "folders",
+        "manifest",
+        "video",
+        "file_rectifiers",
+        "bulk",
+        "cli",
+    ),
 ]
 
 # Few have these as their users.

@@ -4,21 +4,19 @@ A photograph's centred rectangle of the fisheye picture's shape is taken as a pi
 the fisheye frame: its own corner lies as far off the axis as the farthest corner of the fisheye picture. So nothing is
 empty, and no border betrays the lens. From a panorama the angles are true.
 
-Where the fisheye picture shrinks its source, it is made larger and averaged down, each step between the enlarged
-picture's pixels being at most _STEP source pixels.
+Where a picture shrinks its source, it is averaged (antialiasing.py).
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from PIL import Image
 
-from .. import pixel
+from .. import antialiasing, pixel
 from ..cameras import Camera, FisheyeCamera, PinholeCamera
 from ..numpy import resample
 from .lenses import check_split, draw_camera
@@ -26,9 +24,6 @@ from .panoramas import sample_panorama, view_rotation
 from .recipes import RECIPES, Recipe
 from .sources import DecodedSource, Sources
 
-# Against 64 samples a pixel this costs about 51 dB at 5 samples a pixel on average; steps of 2 cost 45 dB at 3.
-_STEP = 1.5
-_MAX_FACTOR = 8
 # Less than this much of the light is no picture any more.
 _DARK = 0.05
 _PITCH_MAX, _ROLL_MAX = math.radians(30), math.radians(15)
@@ -192,18 +187,10 @@ class _Photograph:
 
     def show(self, target: Camera) -> np.ndarray:
         """Give the picture that the target camera takes of this photograph."""
-        smallest, largest = _steps(target, lambda rays: self.pinhole.project(rays)[0])
-        shrink = max(1, int(smallest))
-        source = np.asarray(Image.fromarray(self.pixels).reduce(shrink)) if shrink > 1 else self.pixels
-        fx, fy, cx, cy = self.pinhole.params
-        params = [fx / shrink, fy / shrink, pixel.scale(cx, 1 / shrink), pixel.scale(cy, 1 / shrink)]
-        pinhole = PinholeCamera(params, source.shape[:2])
-
-        def take(factor: int) -> np.ndarray:
-            height, width = target.image_size
-            return _resample(source, pinhole, target.resize((factor * height, factor * width)), "bilinear")
-
-        return _average(largest / shrink, take)
+        # The smallest step of the whole: averaging the source down by that is sooner done than by its own pixels.
+        smallest, _ = antialiasing.steps(target, lambda rays: self.pinhole.project(rays)[0])
+        small = antialiasing.shrunk(self.pixels, self.pinhole, max(1, int(smallest)))
+        return _resample(*small, target, "bilinear")
 
     def show_labels(self, target: Camera) -> np.ndarray | None:
         """Give the labels that the target camera sees; they are never mixed."""
@@ -227,45 +214,34 @@ class _Panorama:
     def show(self, target: Camera) -> np.ndarray:
         """Give the picture that the target camera takes within this panorama."""
         per_radian = self.pixels.shape[1] / (2 * math.pi)
-        smallest, largest = _steps(target, lambda rays: per_radian * _unit(rays))
+        smallest, largest = antialiasing.steps(target, lambda rays: per_radian * _unit(rays))
         shrink = max(1, int(smallest))
         while self.pixels.shape[0] % shrink:  # halves and quarters that keep the shape exactly 2:1
             shrink -= 1
-        source = np.asarray(Image.fromarray(self.pixels).reduce(shrink)) if shrink > 1 else self.pixels
+        source = antialiasing.reduce(self.pixels, shrink)
+        factor = antialiasing.oversampling(largest / shrink)
 
         rays = _unit(target.unproject(_pixels(target.image_size))[0])
         # einsum: the last bit of a product by BLAS may depend on its threads
         rays = np.einsum("hwi,ji->hwj", rays, self.panorama_from_camera)
-        return _average(largest / shrink, lambda factor: sample_panorama(source, rays, factor))
+        return antialiasing.reduce(sample_panorama(source, rays, factor), factor)
 
     def show_labels(self, target: Camera) -> np.ndarray | None:
         """Panoramas have no labels."""
         return None
 
 
-def _resample(picture: np.ndarray, source: PinholeCamera, target: Camera, interpolation: str) -> np.ndarray:
+def _resample(picture: np.ndarray, source: Camera, target: Camera, interpolation: str) -> np.ndarray:
     # "border": a principal point off the centre lets the fisheye picture look past its source by a pixel or two.
-    return resample(picture, source, target, interpolation=interpolation, padding="border", threads=1).image
+    averaged = interpolation == "bilinear"
+    return resample(
+        picture, source, target, interpolation=interpolation, padding="border", antialias=averaged, threads=1
+    ).image
 
 
-def _pixels(size: tuple[int, int], stride: int = 1) -> np.ndarray:
-    """Give every stride-th pixel position as (x, y)."""
-    return np.stack(np.meshgrid(np.arange(0.0, size[1], stride), np.arange(0.0, size[0], stride)), -1)
-
-
-def _steps(target: Camera, look_up: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
-    """Give how far, at least and at most, neighbouring pixels of the target lie apart in the source."""
-    points = _pixels(target.image_size, max(1, max(target.image_size) // 16))
-    here, right, below = (look_up(target.unproject(points + step)[0]) for step in ((0, 0), (1, 0), (0, 1)))
-    lengths = np.linalg.norm(np.stack([right - here, below - here]), axis=-1)
-    return float(np.nanmin(lengths)), float(np.nanmax(lengths))
-
-
-def _average(step: float, take: Callable[[int], np.ndarray]) -> np.ndarray:
-    """Take a picture as many times as large as makes its steps _STEP or less, and average it down."""
-    factor = min(math.ceil(step / _STEP), _MAX_FACTOR)
-    large = take(factor)
-    return np.asarray(Image.fromarray(large).reduce(factor)) if factor > 1 else large
+def _pixels(size: tuple[int, int]) -> np.ndarray:
+    """Give every pixel's position as (x, y)."""
+    return np.stack(np.meshgrid(np.arange(float(size[1])), np.arange(float(size[0]))), -1)
 
 
 def _unit(rays: np.ndarray) -> np.ndarray:
