@@ -211,6 +211,15 @@ def test_weights_come_back(network, weights):
     assert functional.cosine_similarity(there, here).item() == pytest.approx(1, abs=1e-4)
 
 
+def test_the_shipped_weights_are_a_method_of_evaluation():
+    evaluate = pytest.importorskip("fisheyerec.training.evaluate")
+    (method,) = evaluate.load_methods(["rong"]).values()
+    grey = np.full((256, 256, 3), 128, np.uint8)
+    camera = method(grey)
+    assert camera.image_size == (256, 256)
+    assert np.array_equal(camera.params, method(grey).params)
+
+
 def test_other_weights_are_called_so(network, tmp_path):
     with pytest.raises(FileNotFoundError):
         rong.load(tmp_path / "nowhere.safetensors")
