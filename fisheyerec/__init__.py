@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     __version__: str
     from ._ops import backend_for
+    from .annotations import Sample, distort_sample, rectify_sample
     from .cameras import FisheyeCamera, PinholeCamera
     from .network import FishEyeRecNet
     from .rectification import DistortionRectification, Rectification, distort, rectify, resample
@@ -26,8 +27,11 @@ _HOME = {
     "Rectifier": "rectifier",
     "DistortionRectification": "rectification",
     "Rectification": "rectification",
+    "Sample": "annotations",
     "distort": "rectification",
+    "distort_sample": "annotations",
     "rectify": "rectification",
+    "rectify_sample": "annotations",
     "resample": "rectification",
     "backend_for": "_ops",
     "view_for": "views",
@@ -43,9 +47,12 @@ __all__ = [
     "PinholeCamera",
     "Rectification",
     "Rectifier",
+    "Sample",
     "backend_for",
     "distort",
+    "distort_sample",
     "rectify",
+    "rectify_sample",
     "resample",
     "view_for",
     "view_rotation",
