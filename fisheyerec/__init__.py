@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     __version__: str
     from ._ops import backend_for
+    from .annotations import Sample, distort_sample, rectify_sample
     from .cameras import FisheyeCamera, PinholeCamera
     from .network import FishEyeRecNet
     from .rectification import DistortionRectification, Rectification, distort, rectify, resample
@@ -31,8 +32,11 @@ _HOME = {
     "Rectifier": "rectifier",
     "DistortionRectification": "rectification",
     "Rectification": "rectification",
+    "Sample": "annotations",
     "distort": "rectification",
+    "distort_sample": "annotations",
     "rectify": "rectification",
+    "rectify_sample": "annotations",
     "resample": "rectification",
     "backend_for": "_ops",
     "view_for": "views",
@@ -51,10 +55,13 @@ __all__ = [
     "PinholeCamera",
     "Rectification",
     "Rectifier",
+    "Sample",
     "StereographicView",
     "backend_for",
     "distort",
+    "distort_sample",
     "rectify",
+    "rectify_sample",
     "resample",
     "view_for",
     "view_rotation",

@@ -24,6 +24,8 @@ class Names(NamedTuple):
 RECTIFY = Names("rectify", "image", "camera", "view")
 DISTORT = Names("distort", "picture", "view", "camera")
 RESAMPLE = Names("resample", "image", "source", "target")
+RECTIFY_SAMPLE = Names("rectify_sample", "image", "camera", "view")
+DISTORT_SAMPLE = Names("distort_sample", "image", "view", "camera")
 PLAN = Names("Plan", "image", "source", "target")
 
 

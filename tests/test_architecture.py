@@ -26,10 +26,12 @@ ORDER = [
     "cameras",
     "wide_views",
     "views",
+    "outlines",
     "_arguments",
     "_ops",
     "antialiasing",
     "numpy",
+    "annotations",
     "rectification",
     "pictures",
     "manifest",
@@ -52,10 +54,11 @@ ORDER = [
 
 # Calibrated work on NumPy arrays and the command line start without torch: it may only be imported inside functions.
 WITHOUT_TORCH = [
-    *("__init__", "pixel", "camera_files", "lens_models", "cameras", "wide_views", "views", "_arguments"),
+    *("__init__", "pixel", "camera_files", "lens_models", "cameras", "wide_views", "views", "outlines", "_arguments"),
     *(
         "antialiasing",
         "numpy",
+        "annotations",
         "pictures",
         "replacement",
         "folders",
