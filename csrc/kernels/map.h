@@ -216,7 +216,7 @@ FISHEYEREC_NOINLINE void map_run_adjoint(const Geometry<S>& geometry, int64_t ro
   const auto is_live = [&](const Pixel<T>& grad) { return (grad.x != zero) | (grad.y != zero); };
   RunRays<S> rays, grad_rays;
   unproject_run(geometry, row, count, columns, rays);
-  with_model(geometry.source, [&](const auto& source) {
+  const auto adjoint_of_source = [&](const auto& source, auto keeps_rays) {
     constexpr int parameters = std::decay_t<decltype(source)>::parameter_count;
     GradientSum<T, parameters> sum;
     for (int i = 0; i < count; i += lanes<T>) {
@@ -225,9 +225,12 @@ FISHEYEREC_NOINLINE void map_run_adjoint(const Geometry<S>& geometry, int64_t ro
       T grad_params[parameters] = {};
       source.project_adjoint(rays.template load<T>(i), grad, grad_ray, grad_params);
       sum.add(grad_params, is_live(grad));
-      grad_rays.store(i, grad_ray);
+      if constexpr (keeps_rays.value) grad_rays.store(i, grad_ray);  // or the compiler leaves out what it takes
     }
     sum.add_to(gradient.source);
+  };
+  with_model(geometry.source, [&](const auto& source) {
+    want_target ? adjoint_of_source(source, std::true_type{}) : adjoint_of_source(source, std::false_type{});
   });
   if (!want_target) return;
   with_model(geometry.target, [&](const auto& target) {
