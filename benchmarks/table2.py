@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import copy
 import json
-import statistics
 import sys
 import tempfile
 import time
@@ -63,7 +62,7 @@ class Times:
 
     def record(self) -> dict[str, Any]:
         """Give the median and the distance between the quartiles."""
-        low, middle, high = statistics.quantiles(self.turns_s, n=4)
+        low, middle, high = np.percentile(self.turns_s, [25, 50, 75]).tolist()
         names = {"group": self.group, "name": self.name, "variant": self.variant}
         return {**names, "turns": len(self.turns_s), "median_s": middle, "iqr_s": high - low}
 
@@ -236,7 +235,8 @@ def time_variants(
         except Exception as error:  # whatever a compiler stumbles over: the others are timed
             failures[f"{name}, {variant}"] = " ".join(f"{type(error).__name__}: {error}".split())[:300]
             continue
-        print(f"{name}, {variant}: ready after {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
+        watch.add("ready", name, variant, time.perf_counter() - start)
+        print(f"{name}, {variant}: ready", file=sys.stderr, flush=True)
         ready[variant] = call
     for turn in range(turns + 2):
         for variant, call in ready.items():
@@ -300,8 +300,8 @@ def tables(stored: dict[str, Any]) -> dict[str, str]:
     medians = {(r["group"], r["name"], r["variant"]): r for r in records}
     return {
         "methods": _methods_table(medians),
-        "stages": _groups_table(records, "stage", ("where", "stage", "ms")),
-        "networks": _groups_table(records, "network", ("network", "variant", "ms")),
+        "stages": _stages_table(records),
+        "networks": _networks_table(medians),
         "goals": _goals_table(medians),
     }
 
@@ -322,13 +322,23 @@ def _seconds(record: dict[str, Any]) -> str:
     return f"{record['median_s']:.3g} ± {record['iqr_s'] / 2:.1g}"
 
 
-def _groups_table(records: list[dict[str, Any]], group: str, heads: tuple[str, ...]) -> str:
-    lines = [
-        [r["name"], r["variant"], f"{1e3 * r['median_s']:.3g} ± {1e3 * r['iqr_s'] / 2:.1g}"]
-        for r in records
-        if r["group"] == group
-    ]
-    return table(heads, lines)
+def _stages_table(records: list[dict[str, Any]]) -> str:
+    return table(
+        ["where", "stage", "ms"], [[r["name"], r["variant"], _ms(r)] for r in records if r["group"] == "stage"]
+    )
+
+
+def _networks_table(medians: dict[tuple[str, str, str], dict[str, Any]]) -> str:
+    lines = []
+    for (group, name, variant), record in medians.items():
+        if group == "network":
+            ready = medians.get(("ready", name, variant))
+            lines.append([name, variant, _ms(record), f"{ready['median_s']:.1f}" if ready else ""])
+    return table(["network", "variant", "ms", "s until it is ready"], lines)
+
+
+def _ms(record: dict[str, Any]) -> str:
+    return f"{1e3 * record['median_s']:.3g} ± {1e3 * record['iqr_s'] / 2:.1g}"
 
 
 def _goals_table(medians: dict[tuple[str, str, str], dict[str, Any]]) -> str:
