@@ -107,16 +107,22 @@ def reduce(image: np.ndarray, factor: int) -> np.ndarray:
     dtype = np.promote_types(image.dtype, np.float32)
     if image.dtype == np.uint8:
         dtype = np.dtype(np.uint16 if factor <= 8 else np.uint32)  # for twice the sum of a block and its count
-    rows, columns = (np.minimum(factor, size - np.arange(0, size, factor)) for size in (height, width))
-    count = np.multiply.outer(rows, columns).reshape(len(rows), len(columns), *[1] * (image.ndim - 2)).astype(dtype)
     across = image[::factor].astype(dtype)
     for row in range(1, factor):
         part = image[row::factor]
         across[: len(part)] += part
-    total = across[:, ::factor].copy()
-    for column in range(1, factor):
-        part = across[:, column::factor]
-        total[:, : part.shape[1]] += part
+    across = across.reshape(len(across), width, -1)
+    total = np.zeros((len(across), math.ceil(width / factor), across.shape[2]), dtype)
+    # NumPy's innermost loop runs over the channels, which is slow for few: those go one by one.
+    for channels in range(across.shape[2]) if across.shape[2] < 16 else [slice(None)]:
+        for column in range(factor):
+            part = across[:, column::factor, channels]
+            total[:, : part.shape[1], channels] += part
+    total = total.reshape(*total.shape[:2], *image.shape[2:])
+    count: np.ndarray = np.asarray(factor * factor, dtype)
+    if height % factor or width % factor:
+        rows, columns = (np.minimum(factor, size - np.arange(0, size, factor)) for size in (height, width))
+        count = np.multiply.outer(rows, columns).reshape(len(rows), len(columns), *[1] * (image.ndim - 2)).astype(dtype)
     if image.dtype == np.uint8:
         return np.asarray((2 * total + count) // (2 * count), np.uint8)
     return np.asarray(total / count, image.dtype)
