@@ -27,7 +27,7 @@ if sys.platform == "darwin":  # Apple's compiler comes without OpenMP; parallel.
 else:
     FLAGS += ["-fopenmp"]
     # The libgomp that lies in torch's wheel: both modules and torch share one team of threads whichever is loaded
-    # first, and a machine need not have a libgomp of its own. docs/decisions/0013 tells more.
+    # first, and a machine need not have a libgomp of its own. docs/decisions/0014 tells more.
     LINK_FLAGS = ["-fopenmp", "-Wl,-rpath,$ORIGIN/../torch/lib"]
 
 setup(
