@@ -28,9 +28,8 @@ from .cameras import Camera, FisheyeCamera, PinholeCamera
 from .lens_chart import ASPECT, PRINCIPAL_POINT, SIZE, camera_from_chart, chart_of, perspective_chart, stretch
 from .network import FishEyeRecNet
 from .pictures import decode, read_picture
-from .refinement import DISTORTED_EVIDENCE, DISTORTED_STRETCH, Prior, Refinement
-from .refinement import refine as refine_camera
-from .straightness import WORKING_SIDE, straightness
+from .refinement import DISTORTED_EVIDENCE, DISTORTED_STRETCH, Prior, Refinement, refine_on, wide_prior
+from .straightness import WORKING_SIDE, find_pieces, straightness_of
 from .views import view_for
 from .weights import load_network
 
@@ -181,19 +180,20 @@ class Rectifier:
     def _estimate(self, pixels: np.ndarray, refine: bool) -> PhotoEstimate:
         working = _working_copy(pixels)
         camera, covariance = self._look(working)
-        before = straightness(working, None)
+        pieces, size = find_pieces(working)
+        before = straightness_of(pieces, None, size)
         refinement = None
         if refine:
             mean = chart_of(camera)
-            prior = Prior(mean, covariance) if np.isfinite(mean).all() else None
-            refinement = refine_camera(working, camera, prior=prior)
+            prior = Prior(mean, covariance) if np.isfinite(mean).all() else wide_prior()
+            refinement = refine_on(pieces, size, camera, prior)
             camera, covariance = refinement.camera, refinement.covariance
         distorted = _is_distorted(camera, refinement)
         if not distorted:
             camera = _straight_camera(working.shape[:2])
             after = before
         else:
-            after = straightness(working, camera) if refinement is None else refinement.straightness_after
+            after = straightness_of(pieces, camera, size) if refinement is None else refinement.straightness_after
         return PhotoEstimate(
             camera.numpy().resize(pixels.shape[:2]),
             math.exp(-_expected_error_px(chart_of(camera), covariance) / 2),

@@ -122,8 +122,12 @@ def refine(image: np.ndarray, camera: FisheyeCamera, *, prior: Prior | None = No
         ValueError: another shape or dtype, a batch of cameras, or a prior that is not a finite Gaussian of 8 numbers.
     """
     check_picture("refine", image, camera)
-    prior = wide_prior() if prior is None else _checked_prior(prior)
     pieces, size = find_pieces(image)
+    return refine_on(pieces, size, camera, wide_prior() if prior is None else _checked_prior(prior))
+
+
+def refine_on(pieces: Pieces, size: tuple[int, int], camera: FisheyeCamera, prior: Prior) -> Refinement:
+    """Refine a camera on pieces found in a picture of a working size (height, width), as `find_pieces` gives them."""
     before = straightness_of(pieces, camera, size)
     unchanged = Refinement(camera, False, before, before, 0, prior.covariance, 0.0)
     if not len(pieces):
@@ -134,7 +138,7 @@ def refine(image: np.ndarray, camera: FisheyeCamera, *, prior: Prior | None = No
     if search.surprise(chart) > _SURPRISE or cost - min(others) > _STRAIGHTER:
         search = wide
         chart, covariance = search.run(chart)
-    refined = FisheyeCamera(_params(chart, image.shape[:2]), image.shape[:2])
+    refined = FisheyeCamera(_params(chart, camera.image_size), camera.image_size)
     after = straightness_of(pieces, refined, size)
     if not after < before:
         return replace(unchanged, evidence=_evidence(pieces, camera, size))
