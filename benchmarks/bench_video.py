@@ -82,7 +82,7 @@ def main() -> None:
         view = fr.PinholeCamera.edge_matched(camera, size)
         some = [frame for frame, _ in zip(decode(clip), range(RATE), strict=False)]
         again = (some * options.seconds)[:count]
-        with closing(video._rectified((frame for frame in some), camera, view)) as made:
+        with closing(video._rectified((frame for frame in some), camera, view, None)) as made:
             rectified = list(made)
 
         def encode() -> None:
@@ -97,7 +97,7 @@ def main() -> None:
 
         print(f"{size[1]}x{size[0]}, {count} frames, {clip.stat().st_size * 8 / options.seconds / 1e6:.1f} Mbit/s")
         report("decoding", count, lambda: sum(1 for _ in decode(clip)))
-        report("rectification", count, lambda: sum(1 for _ in video._rectified((f for f in again), camera, view)))
+        report("rectification", count, lambda: sum(1 for _ in video._rectified((f for f in again), camera, view, None)))
         report("rectification through RGB", count, lambda: [rectify_rgb(frame, camera, view) for frame in again][:0])
         report("encoding", count, encode)
         report("the command", count, lambda: video.rectify_video(clip, result, camera, view))

@@ -80,7 +80,8 @@ def steps(target: Camera, look_up: Callable[[np.ndarray], np.ndarray]) -> tuple[
     height, width = target.image_size
     stride = max(1, max(height, width) // 16)
     points = np.stack(np.meshgrid(np.arange(0.0, width, stride), np.arange(0.0, height, stride)), -1)
-    here, right, below = (look_up(target.unproject(points + step)[0]) for step in ((0, 0), (1, 0), (0, 1)))
+    beside = np.array([(0, 0), (1, 0), (0, 1)])[:, None, None]
+    here, right, below = look_up(target.unproject(points + beside)[0])
     lengths = np.linalg.norm(np.stack([right - here, below - here]), axis=-1)
     lengths = lengths[np.isfinite(lengths)]
     return (float(lengths.min()), float(lengths.max())) if len(lengths) else (1.0, 1.0)
