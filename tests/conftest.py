@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import functools
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -219,3 +220,9 @@ def run_python(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]
         )
 
     return run
+
+
+@pytest.fixture
+def hears_ctrl_c() -> Callable[[], object]:
+    """For `preexec_fn` of a process that is to be interrupted: shells start their background jobs deaf to it."""
+    return lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)

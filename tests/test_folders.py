@@ -387,12 +387,14 @@ def test_bars_are_shown_on_a_terminal_and_lines_go_where_they_belong(photos, std
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_an_early_end_leaves_whole_files_and_resume_does_the_rest(photos, number):
+def test_an_early_end_leaves_whole_files_and_resume_does_the_rest(photos, number, hears_ctrl_c):
     large = Picture(np.random.default_rng(0).integers(0, 256, (960, 1280, 3), dtype=np.uint8))
     write_picture("in/0.png", large)
     for copy in range(3, 40):
         os.symlink("0.png", f"in/{copy}.png")
-    process = subprocess.Popen(command("in", "-o", "out", *photos), stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command("in", "-o", "out", *photos), stderr=subprocess.PIPE, text=True, preexec_fn=hears_ctrl_c
+    )
     while len([path for path in Path("out").glob("*.png") if not path.name.startswith(".")]) < 3:
         assert process.poll() is None
         time.sleep(0.01)

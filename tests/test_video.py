@@ -337,12 +337,14 @@ def test_bad_input_is_one_line_and_leaves_nothing(clip, lens, tmp_path, case):
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_an_early_end_leaves_no_clip_and_the_next_run_no_trace_of_it(clip, lens, tmp_path, number):
+def test_an_early_end_leaves_no_clip_and_the_next_run_no_trace_of_it(clip, lens, tmp_path, number, hears_ctrl_c):
     (tmp_path / "in").mkdir()
     long = tmp_path / "in" / "long.mp4"
     make_clip(long, times=np.arange(300) / 24, frames=[turned(0)] * 300, sound=None)
     out = tmp_path / "out"
-    process = subprocess.Popen(command(tmp_path / "in", "-o", out, *lens), stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command(tmp_path / "in", "-o", out, *lens), stderr=subprocess.PIPE, text=True, preexec_fn=hears_ctrl_c
+    )
     while not (out.exists() and any(path.stat().st_size for path in out.glob(".long.mp4.*"))):
         assert process.poll() is None
         time.sleep(0.01)
