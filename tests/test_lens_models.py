@@ -163,17 +163,6 @@ def test_the_shape_of_points_is_kept():
     np.testing.assert_array_equal(rays[3, 5], lens_models.unproject(model, params, points[3, 5]))
 
 
-@pytest.mark.skipif(not hasattr(cv2, "omnidir"), reason="this OpenCV was built without its omnidir module")
-def test_unified_is_cv2_omnidir():
-    _, params, _ = LENSES["unified, bent"]
-    fx, fy, cx, cy, xi, *coefficients = params
-    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    rays = lens_models.unproject("unified", params, grid())
-    zero = np.zeros(3)
-    again, _ = cv2.omnidir.projectPoints(rays[:, None], zero, zero, matrix, xi, np.array(coefficients))
-    np.testing.assert_allclose(again[:, 0], grid(), atol=1e-8)
-
-
 def test_ocam_is_cam2world_of_its_toolbox(tmp_path):
     """cam2world of OCamCalib, in its own axes (rows first, z backwards), from the numbers of a calib_results.txt."""
     a = np.array([-209.3, 0.0, 2.216e-3, -5.12e-6, 2.15e-8])
