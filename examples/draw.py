@@ -1,4 +1,4 @@
-"""Draws the fisheye pictures of this folder and the README's before and after. Run it from the project's root:
+"""Draws the fisheye pictures of this folder and the demo's, and the README's before and after. From the project's root:
 
 python examples/draw.py
 """
@@ -9,10 +9,12 @@ import numpy as np
 import scenes
 
 import fisheyerec as fr
+from fisheyerec.demo.controls import EXAMPLE_LENS
 from fisheyerec.pictures import Picture, read_picture, write_picture
 
 HERE = Path(__file__).resolve().parent
 IMAGES = HERE.parent / "docs" / "images"
+DEMO = HERE.parent / "fisheyerec" / "demo" / "room.jpg"
 SIZE = (768, 1024)
 
 PICTURES = {
@@ -27,6 +29,13 @@ def draw(name: str) -> None:
     picture = scenes.render_camera(scene, camera.unproject, camera.image_size, supersample=3)
     write_picture(HERE / f"{name}.jpg", Picture(picture.image))
     camera.save(HERE / f"{name}.json")
+
+
+def draw_for_demo() -> None:
+    """Draw what the page of `fisheyerec demo` begins with, small enough to be installed with it."""
+    camera = fr.FisheyeCamera.from_projection(*EXAMPLE_LENS, image_size=(720, 960))
+    picture = scenes.render_camera(scenes.room(seed=5), camera.unproject, camera.image_size, supersample=3)
+    write_picture(DEMO, Picture(picture.image), quality=88)
 
 
 def before_and_after(names: list[str]) -> None:
@@ -50,4 +59,5 @@ def half(picture: np.ndarray) -> np.ndarray:
 if __name__ == "__main__":
     for name in PICTURES:
         draw(name)
+    draw_for_demo()
     before_and_after(list(PICTURES))

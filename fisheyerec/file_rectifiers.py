@@ -93,13 +93,13 @@ class CalibratedRectifier:
             from . import video
 
             size = video.frame_size(source)
-            camera = _camera_at(self.camera, size, source)
+            camera = camera_at(self.camera, size, source)
             result = video.rectify_video(
                 source, target, camera, self.view, rotation=self.rotation, quality=self.quality, on_frame=on_frame
             )
             return FileReport(camera, self.view, f"{_describe(self.view)}, {result.summary}", result.complaint)
         picture = read_picture(source)
-        camera = _camera_at(self.camera, picture.pixels.shape[:2], source)
+        camera = camera_at(self.camera, picture.pixels.shape[:2], source)
         image, valid = door.rectify(
             picture.pixels,
             camera,
@@ -275,8 +275,17 @@ def _load(weights: Path | None) -> Rectifier:
     return Rectifier.from_pretrained(weights)
 
 
-def _camera_at(camera: FisheyeCamera, size: tuple[int, int], source: Path) -> FisheyeCamera:
-    """Scale a camera to a picture of the same shape."""
+def camera_at(camera: FisheyeCamera, size: tuple[int, int], source: Path) -> FisheyeCamera:
+    """Scale a camera to a picture of the same shape.
+
+    Args:
+        camera: the camera.
+        size: (height, width) of the picture.
+        source: the picture's file, for the error.
+
+    Raises:
+        ValueError: a picture of another shape.
+    """
     height, width = size
     expected_height, expected_width = camera.image_size
     if abs(width * expected_height - height * expected_width) > max(width, height):

@@ -68,8 +68,17 @@ def working_copy(image: np.ndarray) -> np.ndarray:
 
 def straightness_of(pieces: Pieces, camera: FisheyeCamera | None, size: tuple[int, int]) -> float:
     """Give the `straightness` of pieces found in a picture of a working size (height, width)."""
-    if not len(pieces):
+    bends, used = bends_of(pieces, camera, size)
+    if not used.any():
         return float("nan")
+    share = np.average(bends[used] ** 2 / (bends[used] ** 2 + _BEND_CUT**2), weights=pieces.lengths[used])
+    return float(_BEND_CUT * np.sqrt(share / (1 - share)))
+
+
+def bends_of(pieces: Pieces, camera: FisheyeCamera | None, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Give how much each piece bends, in % of its length, and which `straightness_of` goes by: (K,), (K,) bool."""
+    if not len(pieces):
+        return np.zeros(0), np.zeros(0, dtype=bool)
     points, seen = pieces.points, np.ones(len(pieces.points), dtype=bool)
     if camera is not None:
         rays, seen = camera.numpy().resize(size).unproject(points)
@@ -78,7 +87,7 @@ def straightness_of(pieces: Pieces, camera: FisheyeCamera | None, size: tuple[in
     owners, counts = pieces.owners, pieces.counts
     whole = (pieces.sums(seen) == counts) & (counts >= 5)
     if not whole.any():
-        return float("nan")
+        return np.zeros(len(pieces)), whole
     points = np.where(whole[owners, None], points, pieces.points)
     shortest = min(_LONG * max(size), np.sort(pieces.lengths[whole])[-5:][0])
     local = points - (pieces.sums(points) / counts[:, None])[owners]
@@ -90,10 +99,8 @@ def straightness_of(pieces: Pieces, camera: FisheyeCamera | None, size: tuple[in
     power = np.maximum(pieces.sums(shape**2), 1e-300)
     bow = pieces.sums(across * shape) / power
     length = np.linalg.norm(points[pieces.starts[1:] - 1] - points[pieces.starts[:-1]], axis=-1)
-    bend = 100 * np.abs(bow) * np.sqrt(power / counts) / length
-    used = whole & (pieces.lengths >= shortest)
-    share = np.average(bend[used] ** 2 / (bend[used] ** 2 + _BEND_CUT**2), weights=pieces.lengths[used])
-    return float(_BEND_CUT * np.sqrt(share / (1 - share)))
+    bends = 100 * np.abs(bow) * np.sqrt(power / counts) / length
+    return bends, whole & (pieces.lengths >= shortest)
 
 
 def check_picture(function: str, image: object, camera: object) -> None:

@@ -49,6 +49,7 @@ ORDER = [
     "bulk",
     "baselines",
     "training",
+    "demo",
     "cli",
 ]
 
@@ -66,6 +67,7 @@ WITHOUT_TORCH = [
         "video",
         "file_rectifiers",
         "bulk",
+        "demo",
         "cli",
     ),
 ]
@@ -78,6 +80,7 @@ ONLY_USED_BY = {
     "video": {"file_rectifiers", "cli"},
     "baselines": {"training", "cli"},
     "training": {"baselines", "cli"},
+    "demo": {"cli"},
     "cli": set(),
 }
 
@@ -230,6 +233,7 @@ OTHER_HALVES = {
     ("csrc/kernels/sample_bytes.h", "weight * -one - 0.5f"): "rounding weights to whole numbers",
     ("fisheyerec/cameras.py", "(np.arange(200) + 0.5) / 400"): "Chebyshev nodes",
     ("fisheyerec/reference.py", "torch.floor(sampled + 0.5)"): "rounding half up to grey levels",
+    ("fisheyerec/demo/page.py", "self.balance"): "half-way between two views",
     ("fisheyerec/network.py", "nn.Dropout(0.5)"): "the paper's drop-out",
     ("fisheyerec/baselines/aleman_flores.py", "_ANGLE_STEP_DEG"): "half a degree",
     ("fisheyerec/baselines/zhang.py", "_NO_LINE"): "half of what a chain off every circle costs",

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from . import convert, estimate, evaluate, rectify, synthesize, train
+from . import convert, demo, estimate, evaluate, rectify, synthesize, train
 
 app = typer.Typer(
     name="fisheyerec",
@@ -39,5 +39,6 @@ for command in (
     synthesize.synthesize,
     evaluate.evaluate,
     train.train,
+    demo.demo,
 ):
     app.command()(command)
