@@ -33,7 +33,7 @@ def readelf(option: str, module: Path) -> str:
 
 
 def check_archive(names: set[str]) -> None:
-    """The package as it lies in the source tree and two compiled modules: no library, source or test, and no picture but the demo's."""
+    """The package as it lies in the source tree and two compiled modules: no library, source or test."""
     files = {name for name in names if ".dist-info/" not in name}
     for kind, pattern in MODULES.items():
         found = {name for name in files if re.fullmatch(pattern, name)}

@@ -35,6 +35,12 @@ import torch  # noqa: E402  after sys.path is right, as is what follows
 
 import fisheyerec as fr  # noqa: E402
 
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let tests that look at the demo's page leave pictures of it."""
+    parser.addoption("--screenshots", type=Path, metavar="FOLDER", help="folder for pictures of the demo's page")
+
+
 # --- Tolerances -----------------------------------------------------------------------------------
 
 

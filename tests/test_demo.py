@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import shutil
@@ -23,7 +24,6 @@ from fisheyerec.demo.controls import (
     EXAMPLE_LENS,
     FRAMINGS,
     WIDE_FRAMINGS,
-    WIDEST_DEG,
     decimals,
     ideal_camera,
     moved,
@@ -195,14 +195,13 @@ def test_sliders_reach_every_lens_and_stand_for_all_its_decimals(lens):
 
 @pytest.mark.parametrize("projection", PROJECTIONS)
 def test_every_framing_of_every_projection_is_a_view(camera, projection):
-    framings = [value for _, value in (FRAMINGS if projection == "pinhole" else WIDE_FRAMINGS)]
-    for framing in framings:
-        options = view_options(projection, framing, WIDEST_DEG[projection], 0.5, 10.0, 0.0, 0.0)
-        assert options.view_of(camera).image_size == camera.image_size
-        assert options.view_of(camera).model == projection
+    for _, framing in FRAMINGS if projection == "pinhole" else WIDE_FRAMINGS:
+        options = view_options(projection, framing, 120, 0.3, framing, 240, 10, 0, 0)
+        view = options.view_of(camera)
+        assert (view.image_size, view.model) == (camera.image_size, projection)
         np.testing.assert_array_equal(options.rotation(), fr.view_rotation(10))
-        assert (options.fov_deg is None) == (framing != DEGREES)
-        assert (options.balance is None) == (framing != BALANCE)
+        assert options.fov_deg == ((120 if projection == "pinhole" else 240) if framing == DEGREES else None)
+        assert options.balance == (0.3 if framing == BALANCE else None)
 
 
 def test_the_example_is_drawn_through_the_lens_that_the_page_begins_with():
@@ -292,8 +291,7 @@ def test_a_file_that_is_no_picture_is_refused_before_anything_is_served():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_ends_in_order_and_leaves_nothing(tmp_path, number, hears_ctrl_c):
+def test_ctrl_c_ends_it_in_order_and_leaves_nothing(tmp_path, hears_ctrl_c):
     pytest.importorskip("gradio", reason="Gradio is not installed")
     with demo("--port", "0", environment={"TMPDIR": str(tmp_path)}, preexec_fn=hears_ctrl_c) as process:
         try:
@@ -301,7 +299,7 @@ def test_it_ends_in_order_and_leaves_nothing(tmp_path, number, hears_ctrl_c):
             with urllib.request.urlopen(address, timeout=120) as page:
                 assert b"gradio" in page.read()
             assert list(tmp_path.iterdir()) != []
-            process.send_signal(number)
+            process.send_signal(signal.SIGINT)
             out, err = process.communicate(timeout=60)
         finally:
             process.kill()
@@ -318,12 +316,15 @@ PATIENCE = 120  # s, for a machine that has much else to do
 def address(tmp_path_factory):
     """Where the page is served, beginning with its example."""
     pytest.importorskip("gradio", reason="Gradio is not installed")
-    with demo("--port", "0", environment={"TMPDIR": str(tmp_path_factory.mktemp("server"))}) as process:
+    folder = tmp_path_factory.mktemp("server")
+    with demo("--port", "0", environment={"TMPDIR": str(folder)}) as process:
         try:
             yield process.stdout.readline().strip()
         finally:
             process.terminate()
-            process.communicate(timeout=60)
+            out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (0, "", ""), "what was shown on the page was told here too"
+    assert list(folder.iterdir()) == []
 
 
 @pytest.fixture(scope="module")
@@ -342,7 +343,13 @@ def browser(tmp_path_factory, downloads):
     options = webdriver.ChromeOptions()
     options.binary_location = chromium
     profile = tmp_path_factory.mktemp("profile")
-    for argument in ("--headless=new", "--no-sandbox", "--window-size=1400,1000", f"--user-data-dir={profile}"):
+    for argument in (
+        "--headless=new",
+        "--no-sandbox",
+        "--hide-scrollbars",
+        "--window-size=1400,1000",
+        f"--user-data-dir={profile}",
+    ):
         options.add_argument(argument)
     options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
     options.set_capability("goog:loggingPrefs", {"performance": "ALL"})
@@ -357,13 +364,17 @@ class PageUser:
     """Does what people do on the page, and waits until it shows."""
 
     def __init__(self, browser, address, downloads):
+        from selenium.common import exceptions
         from selenium.webdriver.support.ui import WebDriverWait
 
         self.browser, self.address, self.downloads = browser, address, downloads
-        self.wait = WebDriverWait(browser, PATIENCE, poll_frequency=0.1)
+        # What is not there yet, or is being drawn anew, is tried again.
+        unready = (IndexError, exceptions.StaleElementReferenceException, exceptions.ElementNotInteractableException)
+        unready += (exceptions.ElementClickInterceptedException,)
+        self.wait = WebDriverWait(browser, PATIENCE, poll_frequency=0.1, ignored_exceptions=unready)
 
-    def open(self):
-        self.browser.get(self.address)
+    def open(self, query=""):
+        self.browser.get(f"{self.address}/{query}")
         self.until(lambda: len(self.pictures()) == 2)
 
     def until(self, condition):
@@ -371,6 +382,9 @@ class PageUser:
 
     def all(self, selector):
         return self.browser.find_elements("css selector", selector)
+
+    def click(self, selector, number=0):
+        self.until(lambda: self.all(selector)[number].click() or True)
 
     def pictures(self):
         """Addresses of the pictures before and after."""
@@ -394,12 +408,11 @@ class PageUser:
         return found
 
     def upload(self, selector, path):
-        self.until(lambda: self.all(f"{selector} input[type=file]"))
-        self.all(f"{selector} input[type=file]")[0].send_keys(str(path))
+        self.until(lambda: self.all(f"{selector} input[type=file]")[0].send_keys(str(path)) or True)
 
     def choose(self, number):
         """Choose where the lens comes from."""
-        self.all("#source input")[number].click()
+        self.click("#source input", number)
 
     def slide(self, name, value):
         """Move a slider, as a pointer does."""
@@ -410,11 +423,16 @@ class PageUser:
             value,
         )
 
+    def pick(self, name, option):
+        """Pick from a list."""
+        self.click(f"#{name} input")
+        self.click(f"ul[role=listbox] li[aria-label='{option}']")
+
     def numbers(self, *names):
         return [float(self.all(f"#{name} input[type=number]")[0].get_attribute("value")) for name in names]
 
     def download(self, button, name):
-        self.all(f"#{button}")[0].click()
+        self.click(f"#{button}")
         self.until((self.downloads / name).exists)
         return self.downloads / name
 
@@ -473,19 +491,35 @@ def test_a_slider_changes_the_picture(calibrated, camera):
     np.testing.assert_array_equal(back, still)
 
 
+def test_projections_and_framings_bring_their_sliders(calibrated, camera):
+    user, _ = calibrated
+    user.changed(lambda: user.pick("projection", "Equirectangular"))
+    user.pick("wide-framing", "Field of view")
+    user.until(lambda: user.all("#wide-fov"))
+    user.changed(lambda: user.slide("wide-fov", 300))
+    expected = make_preview(Photo.open(ROOM), camera, ViewOptions(projection="equirectangular", fov_deg=300), mask=True)
+    user.until(lambda: np.abs(user.pixels()[1].astype(int) - expected.after).mean() < 3)
+    assert user.all("#fov") == user.all("#framing") == []
+    user.pick("projection", "Perspective")
+    user.until(lambda: user.all("#framing"))
+    assert user.all("#wide-fov") == []
+    expected = make_preview(Photo.open(ROOM), camera, ViewOptions())
+    user.until(lambda: np.abs(user.pixels()[1].astype(int) - expected.after).mean() < 3)
+
+
 def test_lines_are_drawn_on_both_pictures(calibrated):
     user, _ = calibrated
     before, after = user.pixels()
-    lined = user.changed(lambda: user.all("#marks input")[0].click())
+    lined = user.changed(lambda: user.click("#marks input"))
     assert all((np.abs(a.astype(int) - b).max(-1) > 100).any() for a, b in zip(lined, (before, after), strict=True))
-    user.changed(lambda: user.all("#marks input")[0].click())
+    user.changed(lambda: user.click("#marks input"))
 
 
 def test_downloads_are_the_whole_picture_and_the_exact_lens(calibrated, camera):
     user, _ = calibrated
     lens = user.download("take-camera", "room_camera.json")
     np.testing.assert_array_equal(fr.FisheyeCamera.load(lens).params, camera.params)
-    user.all("#download input[value='.png'], #download input")[1].click()
+    user.click("#download input", 1)
     picture = read_picture(user.download("take-picture", "room_rectified.png")).pixels
     view = fr.PinholeCamera.edge_matched(camera, camera.image_size)
     np.testing.assert_array_equal(picture, fr.numpy.rectify(read_picture(ROOM).pixels, camera, view).image)
@@ -495,9 +529,36 @@ def test_a_broken_lens_file_is_told_in_words_and_changes_nothing(calibrated, cam
     user, _ = calibrated
     (tmp_path / "broken.json").write_text('{"fx": "<b>wide</b>"}')
     shown = user.pictures()
-    user.all("#lens-file button[aria-label='Clear'], #lens-file button[aria-label='Remove this file']")[0].click()
+    user.click("#lens-file button[aria-label='Clear'], #lens-file button[aria-label='Remove this file']")
     user.upload("#lens-file", tmp_path / "broken.json")
     user.until(lambda: "broken.json" in " ".join(toast.text for toast in user.all(".toast-body")))
     assert str(tmp_path) not in user.all("body")[0].text
     assert user.pictures() == shown
     np.testing.assert_allclose(user.numbers(*camera.parameter_names), camera.params, atol=0.06)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "height"), [(1400, 1000), (400, 860)], ids=["desktop", "phone"])
+def test_the_page_fits_the_screen(user, request, width, height, theme):
+    """`--screenshots FOLDER` leaves pictures; that of the README is desktop_light.jpg."""
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < height}
+    user.browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    user.open(f"?__theme={theme}")
+    user.changed(lambda: user.click("#marks input"))
+    assert user.script("return document.documentElement.scrollWidth") <= width
+    cut = """
+        return [...document.querySelectorAll('#workplace :is(label, button, b, input)')].filter(element => {
+            const box = element.getBoundingClientRect();
+            const outside = box.width > 0 && (box.left < 0 || box.right > innerWidth);
+            return outside || (element.innerText && element.scrollWidth > element.offsetWidth + 1);
+        }).map(element => element.outerHTML);
+    """
+    assert user.script(cut) == []
+    folder = request.config.getoption("screenshots")
+    if folder is not None:
+        user.until(lambda: user.script("return [...document.images].every(image => image.complete)"))
+        name = f"{'desktop' if width > height else 'phone'}_{theme}.jpg"
+        jpeg = {"format": "jpeg", "quality": 85, "captureBeyondViewport": width < height}
+        taken = user.browser.execute_cdp_cmd("Page.captureScreenshot", jpeg)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(base64.b64decode(taken["data"]))

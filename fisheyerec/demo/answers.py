@@ -18,9 +18,6 @@ from ..file_rectifiers import BlindRectifier, ViewOptions
 from .controls import (
     BALANCE,
     DEGREES,
-    FRAMINGS,
-    WIDE_FRAMINGS,
-    WIDEST_DEG,
     ideal_camera,
     moved,
     reaches,
@@ -94,18 +91,12 @@ class Answers:
         sliders = [gr.update(**reach._asdict()) for reach in reaches(camera).values()]
         return [camera, *sliders, note]
 
-    def show_projection(self, projection: str, framing: str, fov_deg: float) -> list[Any]:
-        """Offer the framings and the fields of view of a projection."""
-        framings = FRAMINGS if projection == "pinhole" else WIDE_FRAMINGS
-        chosen = framing if framing in [value for _, value in framings] else framings[0][1]
-        widest = WIDEST_DEG[projection]
-        fov, balance = self.show_framing(chosen)
-        fov |= {"maximum": widest, "value": min(fov_deg, widest)}
-        return [gr.update(choices=framings, value=chosen), fov, balance]
-
-    def show_framing(self, framing: str) -> list[Any]:
-        """Show the slider of a framing, if it has one."""
-        return [gr.update(visible=framing == shown) for shown in (DEGREES, BALANCE)]
+    def show_view(self, projection: str, framing: str, wide_framing: str) -> list[Any]:
+        """Show the controls that a projection and its framing have."""
+        wide = projection != "pinhole"
+        shown = [not wide, not wide and framing == DEGREES, not wide and framing == BALANCE]
+        shown += [wide, wide and wide_framing == DEGREES]
+        return [gr.update(visible=visible) for visible in shown]
 
     def show(self, photo: Photo | None, lens: FisheyeCamera | None, *values: Any) -> tuple[Any, Any]:
         """Give the pictures before and after, and what is to be said of them."""

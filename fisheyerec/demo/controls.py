@@ -12,18 +12,15 @@ from ..views import MODES
 EXAMPLE_LENS = ("equidistant", 165.0)
 """Projection and field of view in degrees of the lens that the example picture is drawn through."""
 
-DEGREES, BALANCE = "degrees", "balance"
-"""Framings of a view that a slider goes with; the others are modes of `view_for`."""
+DEGREES, BALANCE, LENS = "degrees", "balance", "lens"
+"""Framings of a view that are no modes of `view_for`: by a field of view, by a balance, as wide as the lens."""
 
 FRAMINGS = [("Edge-matched", "edge_matched"), ("Keep all", "keep_all"), ("Valid only", "valid_only")]
 FRAMINGS += [("Largest valid rectangle", "valid_rectangle"), ("Balance", BALANCE), ("Field of view", DEGREES)]
 """Of a perspective view, each after what it is called on the page."""
 
-WIDE_FRAMINGS = [("As wide as the lens", "lens"), ("Field of view", DEGREES)]
+WIDE_FRAMINGS = [("As wide as the lens", LENS), ("Field of view", DEGREES)]
 """Of other projections."""
-
-WIDEST_DEG = {"pinhole": 170, "cylindrical": 360, "equirectangular": 360, "stereographic": 340, "panini": 300}
-"""How far the slider of the field of view reaches, by projection."""
 
 # Focal lengths and principal point in units of the picture's longer side. A lens beyond half of this reaches further.
 _REACH = {"f": (0.05, 1.5), "c": (0.0, 1.0), "k": (-1.0, 1.0)}
@@ -74,6 +71,8 @@ def view_options(
     framing: str,
     fov_deg: float,
     balance: float,
+    wide_framing: str,
+    wide_fov_deg: float,
     pan_deg: float,
     tilt_deg: float,
     roll_deg: float,
@@ -82,17 +81,21 @@ def view_options(
 
     Args:
         projection: one of `views.PROJECTIONS`.
-        framing: a value of FRAMINGS or WIDE_FRAMINGS.
-        fov_deg: field of view across the width, for DEGREES.
+        framing: of a perspective view, a value of FRAMINGS.
+        fov_deg: its field of view across the width, for DEGREES.
         balance: in [0, 1], for BALANCE.
+        wide_framing: of other projections, a value of WIDE_FRAMINGS.
+        wide_fov_deg: their field of view, for DEGREES.
         pan_deg: to the right.
         tilt_deg: upwards.
         roll_deg: clockwise.
     """
+    if projection != "pinhole":
+        framing, fov_deg = wide_framing, wide_fov_deg
     return ViewOptions(
-        mode=framing if framing in MODES and projection == "pinhole" else None,
+        mode=framing if framing in MODES else None,
         fov_deg=fov_deg if framing == DEGREES else None,
-        balance=balance if framing == BALANCE and projection == "pinhole" else None,
+        balance=balance if framing == BALANCE else None,
         projection=projection,
         pan_deg=pan_deg,
         tilt_deg=tilt_deg,

@@ -11,7 +11,7 @@ import gradio as gr
 from ..file_rectifiers import BlindRectifier
 from ..pictures import PICTURE_SUFFIXES
 from .answers import ESTIMATED, IDEAL, LENS_FILE, LINES, MASK, Answers
-from .controls import EXAMPLE_LENS, FRAMINGS, decimals
+from .controls import EXAMPLE_LENS, FRAMINGS, LENS, WIDE_FRAMINGS, decimals
 
 Event = Callable[..., Any]
 
@@ -88,10 +88,18 @@ class Page:
 
     def _lay_out_view(self) -> None:
         with gr.Accordion("View"), gr.Row(elem_classes="pairs"):
-            self.projection = gr.Dropdown(_PROJECTIONS, value="pinhole", label="Projection", min_width=140)
-            self.framing = gr.Dropdown(FRAMINGS, value="edge_matched", label="Framing", min_width=140)
+            self.projection = gr.Dropdown(
+                _PROJECTIONS, value="pinhole", label="Projection", min_width=140, elem_id="projection"
+            )
+            self.framing = gr.Dropdown(
+                FRAMINGS, value="edge_matched", label="Framing", min_width=140, elem_id="framing"
+            )
             self.fov = _slider(10, 170, 100, step=1, label="Field of view, °", visible=False, elem_id="fov")
             self.balance = _slider(0, 1, 0.5, step=0.01, label="Balance", visible=False, elem_id="balance")
+            self.wide_framing = gr.Dropdown(
+                WIDE_FRAMINGS, value=LENS, label="Framing", min_width=140, visible=False, elem_id="wide-framing"
+            )
+            self.wide_fov = _slider(10, 360, 180, step=1, label="Field of view, °", visible=False, elem_id="wide-fov")
             self.turns = [
                 _slider(-limit, limit, 0, step=0.1, label=f"{name.capitalize()}, °", elem_id=name)
                 for name, limit in (("pan", 90), ("tilt", 90), ("roll", 180))
@@ -122,14 +130,13 @@ class Page:
             self._show_after(found.success)
 
     def _connect_view(self) -> None:
-        answers, choice = self.answers, [self.framing, self.fov, self.balance]
-        projected = _answer(
-            self.projection.input, answers.show_projection, [self.projection, self.framing, self.fov], choice
-        )
-        framed = _answer(self.framing.input, answers.show_framing, [self.framing], [self.fov, self.balance])
-        sliders = [*self.params, self.fov, self.balance, *self.turns]
-        for change in (projected.success, framed.success, self.marks.input, *(slider.input for slider in sliders)):
-            self._show_after(change)
+        kinds = [self.projection, self.framing, self.wide_framing]
+        framed = [self.framing, self.fov, self.balance, self.wide_framing, self.wide_fov]
+        for kind in kinds:
+            self._show_after(_answer(kind.input, self.answers.show_view, kinds, framed).success)
+        sliders = [*self.params, self.fov, self.balance, self.wide_fov, *self.turns]
+        for moved in (self.marks.input, *(slider.input for slider in sliders)):
+            self._show_after(moved)
 
     def _show_after(self, event: Event) -> None:
         _answer(event, self.answers.show, [*self._shown, self.marks], [self.comparison, self.told])
@@ -147,7 +154,8 @@ class Page:
     @property
     def _shown(self) -> list[Any]:
         """What decides how the result looks."""
-        return [self.photo, self.lens, *self.params, self.projection, self.framing, self.fov, self.balance, *self.turns]
+        framed = [self.framing, self.fov, self.balance, self.wide_framing, self.wide_fov]
+        return [self.photo, self.lens, *self.params, self.projection, *framed, *self.turns]
 
 
 def _slider(*reach: float, label: str, step: float, **options: Any) -> gr.Slider:
