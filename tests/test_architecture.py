@@ -41,6 +41,7 @@ ORDER = [
     "sightlines",
     "straightness",
     "refinement",
+    "image_circle",
     "network",
     "weights",
     "rectifier",
