@@ -21,7 +21,7 @@ DEPTH_KINDS = ("z", "distance")
 
 # The pictures of a sample -> kinds of dtype, in NumPy's letters and in words.
 _RASTERS = {
-    "image": ("biuf", "a floating dtype or uint8"),
+    "image": ("biuf", "a floating dtype, uint8 or uint16"),
     "labels": ("biu", "an integer dtype"),
     "mask": ("b", "dtype bool"),
     "depth": ("iuf", "a floating or integer dtype"),
@@ -38,7 +38,7 @@ class Sample:
     """
 
     image: np.ndarray | None = None
-    """(H, W) or (H, W, C), uint8 or floating; interpolated."""
+    """(H, W) or (H, W, C), uint8, uint16 or floating; interpolated."""
     labels: np.ndarray | None = None
     """(H, W) or (H, W, C), of any integer type; never mixed. 0 where nothing is seen."""
     mask: np.ndarray | None = None
