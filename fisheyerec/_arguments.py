@@ -35,6 +35,12 @@ def check_interpolation(function: str, interpolation: str) -> None:
         raise ValueError(f"{function}(): expected interpolation in {INTERPOLATIONS}, got {interpolation!r}")
 
 
+def check_antialias(function: str, antialias: bool, interpolation: str) -> None:
+    """Raise ValueError where labels would be averaged."""
+    if antialias and interpolation != "bilinear":
+        raise ValueError(f"{function}(): expected interpolation 'bilinear' for antialias, got {interpolation!r}")
+
+
 def check_padding(function: str, padding: str) -> None:
     """Raise ValueError unless the name is known."""
     if padding not in PADDINGS:

@@ -12,6 +12,7 @@ from ._arguments import (
     RECTIFY,
     RESAMPLE,
     Names,
+    check_antialias,
     check_interpolates,
     check_interpolation,
     check_padding,
@@ -200,8 +201,7 @@ def resample_named(
     """Resample in the name of another function of the package, and in its words where it raises."""
     check_padding(names.function, padding)
     channels = _as_channels(names, image, interpolation)
-    if antialias and interpolation != "bilinear":
-        raise ValueError(f"{names.function}(): expected interpolation 'bilinear' for antialias, got {interpolation!r}")
+    check_antialias(names.function, antialias, interpolation)
     rotation = check_single(names, source, target, source_from_target)
     check_size(names, image.shape[:2], source)
     _check_threads(names, threads)

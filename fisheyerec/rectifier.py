@@ -130,6 +130,7 @@ class Rectifier:
         size: tuple[int, int] | None = None,
         rotation: Any = None,
         interpolation: str = "bilinear",
+        antialias: bool = False,
         refine: bool = True,
     ) -> PhotoRectification:
         """Make a photo straight; one without fisheye distortion comes back as it is, whatever view was asked for.
@@ -146,6 +147,7 @@ class Rectifier:
             size: (height, width) of the result; None for the photo's.
             rotation: (3, 3) camera_from_view, which turns the view, as `view_rotation` gives it; None for none.
             interpolation: "bilinear" or "nearest".
+            antialias: whether to average where the photo shrinks, as in `fisheyerec.numpy.rectify`.
             refine: whether to refine the network's camera on the photo's lines.
 
         Without view, fov_deg, focal and balance the view is edge-matched (`PinholeCamera.edge_matched`).
@@ -168,7 +170,7 @@ class Rectifier:
             image, valid = opened.pixels, np.ones(opened.pixels.shape[:2], dtype=bool)
             view = PinholeCamera.edge_matched(estimate.camera, opened.pixels.shape[:2])
         else:
-            image, valid = _rectify(opened.pixels, estimate.camera, view, rotation, interpolation)
+            image, valid = _rectify(opened.pixels, estimate.camera, view, rotation, interpolation, antialias)
         return PhotoRectification(
             **vars(estimate), image=opened.restore(image), valid=opened.restore_mask(valid), view=view
         )
@@ -275,13 +277,14 @@ def _checked(pixels: np.ndarray) -> np.ndarray:
 
 
 def _rectify(
-    pixels: np.ndarray, camera: FisheyeCamera, view: Camera, rotation: Any, interpolation: str
+    pixels: np.ndarray, camera: FisheyeCamera, view: Camera, rotation: Any, interpolation: str, antialias: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    if pixels.dtype != np.uint16:
-        return door.rectify(pixels, camera, view, rotation=rotation, interpolation=interpolation)
     # The kernels interpolate no integers but bytes; float32 holds 16 bits exactly.
-    image, valid = door.rectify(pixels.astype(np.float32), camera, view, rotation=rotation, interpolation=interpolation)
-    return np.rint(image).astype(np.uint16), valid
+    image = pixels if pixels.dtype != np.uint16 else pixels.astype(np.float32)
+    image, valid = door.rectify(
+        image, camera, view, rotation=rotation, interpolation=interpolation, antialias=antialias
+    )
+    return image if pixels.dtype != np.uint16 else np.rint(image).astype(np.uint16), valid
 
 
 def _working_copy(pixels: np.ndarray) -> np.ndarray:
