@@ -31,8 +31,8 @@ class Raster:
 
     values: np.ndarray
     """(H, W) or (H, W, C), of the file's own type; of a picture with a palette its indices, uint8."""
-    palette: bytes | None = None
-    """RGB of each index, for those who look at it."""
+    palette: list[int] | None = None
+    """Red, green and blue of each index in turn, for those who look at it."""
 
 
 def read_raster(path: str | os.PathLike[str]) -> Raster:
@@ -51,7 +51,7 @@ def read_raster(path: str | os.PathLike[str]) -> Raster:
             if image.mode not in _EXACT_MODES or is_deep_colour:
                 kind = "16 bit colour" if is_deep_colour else f"mode {image.mode}"
                 raise ValueError(f"read_raster(): expected a raster of 8 bits or of one channel, got {path} of {kind}")
-            palette = image.palette.tobytes() if image.mode == "P" and image.palette is not None else None
+            palette = image.getpalette() if image.mode == "P" else None
             return Raster(np.array(image), palette)
     except (UnidentifiedImageError, SyntaxError) as error:
         raise ValueError(f"read_raster(): expected a raster, got {path} of an unknown format") from error

@@ -194,7 +194,7 @@ def _run(
                 if error is not None:
                     failures += 1
                     progress.complain(f"fisheyerec rectify: {error}")
-        if annotations is not None:
+        if annotations is not None and cameras:
             complaints = annotations.write(planned, cameras, rotation)
     except OSError as error:
         raise fail("rectify", error) from error
