@@ -240,6 +240,7 @@ OTHER_HALVES = {
     ("csrc/kernels/sample_bytes.h", "weight * -one - 0.5f"): "rounding weights to whole numbers",
     ("fisheyerec/cameras.py", "(np.arange(200) + 0.5) / 400"): "Chebyshev nodes",
     ("fisheyerec/reference.py", "torch.floor(sampled + 0.5)"): "rounding half up to grey levels",
+    ("fisheyerec/rectification.py", "_reduced(image.float(), factor) + 0.5"): "rounding half up to grey levels",
     ("fisheyerec/network.py", "nn.Dropout(0.5)"): "the paper's drop-out",
     ("fisheyerec/baselines/aleman_flores.py", "_ANGLE_STEP_DEG"): "half a degree",
     ("fisheyerec/baselines/zhang.py", "_NO_LINE"): "half of what a chain off every circle costs",
