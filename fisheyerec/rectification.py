@@ -84,7 +84,7 @@ def rectify(
         TypeError: an argument of another type.
         ValueError: another shape, dtype or name, or an integer image that requires gradients.
     """
-    out, valid = _resample(RECTIFY, image, camera, view, rotation, interpolation, padding, antialias)
+    out, valid = resample_named(RECTIFY, image, camera, view, rotation, interpolation, padding, antialias)
     return Rectification(out, valid, camera, view)
 
 
@@ -116,7 +116,7 @@ def distort(
         TypeError, ValueError: as `rectify`.
     """
     view_from_camera = None if rotation is None else _rotations("distort", rotation).transpose(-1, -2)
-    out, valid = _resample(DISTORT, picture, view, camera, view_from_camera, interpolation, padding, antialias)
+    out, valid = resample_named(DISTORT, picture, view, camera, view_from_camera, interpolation, padding, antialias)
     return Rectification(out, valid, camera, view)
 
 
@@ -147,10 +147,10 @@ def resample(
     Raises:
         TypeError, ValueError: as `rectify`.
     """
-    return _resample(RESAMPLE, image, source, target, source_from_target, interpolation, padding, antialias)
+    return resample_named(RESAMPLE, image, source, target, source_from_target, interpolation, padding, antialias)
 
 
-def _resample(
+def resample_named(
     names: Names,
     image: Tensor,
     source: Camera,
@@ -160,6 +160,7 @@ def _resample(
     padding: str,
     antialias: bool,
 ) -> tuple[Tensor, Tensor]:
+    """Resample in the name of another function of the package, and in its words where it raises."""
     function = names.function
     _check_image(names, image)
     check_interpolation(function, interpolation)
@@ -368,7 +369,7 @@ class DistortionRectification(nn.Module):
                 "DistortionRectification(): expected params, as the layer has no camera of its own, got None"
             )
         options = (self.interpolation, self.padding, self.antialias)
-        return _resample(RECTIFY, image, camera, self.view, rotation, *options)[0]
+        return resample_named(RECTIFY, image, camera, self.view, rotation, *options)[0]
 
     def extra_repr(self) -> str:
         """Show the view and the options."""
