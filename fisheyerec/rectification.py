@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -190,39 +189,25 @@ def resample_named(
         image = image.expand(batch, -1, -1, -1)
     source_params, target_params = list(parameters.values())[:2]
     rotations = parameters.get("rotation")
-
-    def take(
-        image: Tensor, source_params: Tensor, target_params: Tensor, rotation: Tensor | None, size: tuple[int, int]
-    ) -> tuple[Tensor, Tensor]:
-        return _ops.resample(
-            image,
-            source_params,
-            target_params,
-            rotation,
-            source.model,
-            target.model,
-            *size,
-            interpolation,
-            padding,
-        )
-
-    out, valid = take(
-        image[:, :1].detach() if antialias else image, source_params, target_params, rotations, target.image_size
+    out, valid = _ops.resample(
+        image[:, :1].detach() if antialias else image,
+        source_params,
+        target_params,
+        rotations,
+        source.model,
+        target.model,
+        *target.image_size,
+        interpolation,
+        padding,
     )
-    if not antialias:
-        return out, valid
-    source = type(source)(source_params, source.image_size)
-    target = type(target)(target_params, target.image_size)
-    return _averaged(image, source, target, rotations, take), valid
+    if antialias:
+        cameras = (type(source)(source_params, source.image_size), type(target)(target_params, target.image_size))
+        out = _averaged(image, *cameras, rotations, padding)
+    return out, valid
 
 
-def _averaged(
-    image: Tensor,
-    source: Camera,
-    target: Camera,
-    rotations: Tensor | None,
-    take: Callable[[Tensor, Tensor, Tensor, Tensor | None, tuple[int, int]], tuple[Tensor, Tensor]],
-) -> Tensor:
+@torch.compiler.disable
+def _averaged(image: Tensor, source: Camera, target: Camera, rotations: Tensor | None, padding: str) -> Tensor:
     """Resample with averaging, as antialiasing.py describes it, each picture as if it came alone.
 
     All parameters are batches of one or of the image's B.
@@ -236,21 +221,20 @@ def _averaged(
         params, target_params, *turn = (tensor[i : i + 1] if tensor.shape[0] == count else tensor for tensor in rows)
         rotation = turn[0] if turn else None
         one, other = type(source)(params, source.image_size), type(target)(target_params, target.image_size)
-        shrink, factor = _levels(one, other, rotation)
+        turned = None if rotation is None else rotation[0].detach().numpy()
+        shrink, factor = antialiasing.levels(_first(one), _first(other), turned)
         pictures = _reduced(image if count == 1 else image[i : i + 1], shrink)
         params = torch.as_tensor(antialiasing.shrunk_camera(one, shrink).params)
-        enlarged = [
-            take(pictures, params, torch.as_tensor(band.params), rotation, band.image_size)[0]
-            for band in antialiasing.bands(other, factor, max(1, pictures.shape[0]))
-        ]
-        parts.append(torch.cat([_reduced(band, factor) for band in enlarged], -2))
+        models, bands = (source.model, target.model), []
+        for band in antialiasing.bands(other, factor, max(1, pictures.shape[0])):
+            arguments = (params, torch.as_tensor(band.params), rotation, *models, *band.image_size)
+            bands.append(_reduced(_ops.resample(pictures, *arguments, "bilinear", padding)[0], factor))
+        parts.append(torch.cat(bands, -2))
     return torch.cat(parts)
 
 
-@torch.compiler.disable
-def _levels(source: Camera, target: Camera, rotation: Tensor | None) -> tuple[int, int]:
-    one, other = (type(camera)(camera.params[0], camera.image_size) for camera in (source, target))
-    return antialiasing.levels(one, other, None if rotation is None else rotation[0].detach().numpy())
+def _first(camera: Camera) -> Camera:
+    return type(camera)(camera.params[0], camera.image_size)
 
 
 def _reduced(image: Tensor, factor: int) -> Tensor:

@@ -159,8 +159,8 @@ def test_a_view_four_times_as_coarse_comes_near_to_256_samples_a_pixel():
     plain, averaged = (fr.rectify(image, CAMERA, view, antialias=a) for a in (False, True))
     where = inner(plain.valid[0, 0].numpy())
     without, rest = (255 * np.abs(r.image[0, 0].numpy() - expected)[where].mean() for r in (plain, averaged))
-    assert rest < 1
-    assert without > 20 * rest
+    assert rest < 2
+    assert without > 8 * rest
 
 
 def test_each_picture_of_a_batch_is_averaged_as_if_it_came_alone():
@@ -185,9 +185,8 @@ def test_one_camera_averages_a_batch_and_one_picture_meets_many_cameras(monkeypa
     view = VIEW.resize((36, 48))
     batch = fr.rectify(image, CAMERA, view, antialias=True).image
     monkeypatch.setattr(antialiasing, "_BAND", 64 * 48 * 5)
-    torch.testing.assert_close(
-        torch.cat([fr.rectify(i[None], CAMERA, view, antialias=True).image for i in image]), batch
-    )
+    alone = [fr.rectify(picture[None], CAMERA, view, antialias=True).image for picture in image]
+    torch.testing.assert_close(torch.cat(alone), batch)
     cameras = fr.FisheyeCamera(np.tile(CAMERA.params, (2, 1)), CAMERA.image_size)
     many = fr.rectify(image[:1], cameras, view, antialias=True).image
     torch.testing.assert_close(many, batch[:1].expand(2, -1, -1, -1))
@@ -219,11 +218,9 @@ def test_layers_average_and_say_so():
     torch.testing.assert_close(torch.compile(layer, backend="eager")(image), expected, rtol=0, atol=0)
 
 
-@pytest.mark.parametrize("function", ["rectify", "DistortionRectification"])
-def test_tensors_of_labels_are_never_averaged(function):
-    with pytest.raises(ValueError, match=rf"^{function}\(\): expected interpolation 'bilinear' for antialias"):
-        if function == "rectify":
-            labels = torch.zeros(1, 1, *CAMERA.image_size, dtype=torch.uint8)
-            fr.rectify(labels, CAMERA, VIEW, interpolation="nearest", antialias=True)
-        else:
-            fr.DistortionRectification(VIEW, interpolation="nearest", antialias=True)
+def test_tensors_of_labels_are_never_averaged():
+    labels, options = torch.zeros(1, 1, *CAMERA.image_size, dtype=torch.uint8), {"interpolation": "nearest"}
+    with pytest.raises(ValueError, match=r"^rectify\(\): expected interpolation 'bilinear' for antialias"):
+        fr.rectify(labels, CAMERA, VIEW, antialias=True, **options)
+    with pytest.raises(ValueError, match=r"^DistortionRectification\(\): expected interpolation 'bilinear'"):
+        fr.DistortionRectification(VIEW, antialias=True, **options)
