@@ -93,7 +93,7 @@ class CocoFile:
         """Find the image whose file_name a picture's path ends with."""
         parts = picture.absolute().parts
         tails = (parts[start:] for start in range(len(parts)))
-        return next((self._images[tail] for tail in (parts, *tails) if tail in self._images), None)
+        return next((self._images[tail] for tail in tails if tail in self._images), None)
 
     def rectified(self, pictures: Sequence[Shown], rotation: np.ndarray | None) -> Moved:
         """Give the file of pictures that were rectified; images that are not among them are left out.

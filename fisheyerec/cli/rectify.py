@@ -175,7 +175,7 @@ def _run(
     complaints: Sequence[str] = []
     cameras = {} if manifest is None else {task: manifest.cameras(task) for task in set(planned.tasks) - set(todo)}
     try:
-        remove_leftovers(target for task in todo for _, target in task.files)
+        remove_leftovers([target for task in todo for _, target in task.files])
         with (
             file_progress(len(todo)) as progress,
             contextlib.closing(run(todo, rectifier, jobs=jobs, on_frame=progress.on_frame)) as outcomes,
