@@ -155,7 +155,7 @@ def write_coco(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
 
 
 def _sample(annotation: dict[str, Any], size: tuple[int, int]) -> Sample:
-    """Read an annotation of an image of this size (height, width); an empty segmentation is none."""
+    """Read an annotation of an image of this size (height, width); a segmentation that encloses nothing is none."""
     known: dict[str, Any] = {}
     if annotation.get("bbox"):
         x, y, width, height = _numbers(annotation["bbox"], "bbox")
@@ -169,9 +169,8 @@ def _sample(annotation: dict[str, Any], size: tuple[int, int]) -> Sample:
         known["mask"] = rle.decode(segmentation["counts"], size)
     elif segmentation:
         polygons = [_numbers(polygon, "polygon").reshape(-1, 2) - HALF_PIXEL for polygon in segmentation]
-        if any(len(polygon) < 3 for polygon in polygons):
-            raise ValueError("a polygon of less than three points")
-        known["polygons"] = polygons
+        # There are some of one or two points, which enclose nothing.
+        known["polygons"] = [polygon for polygon in polygons if len(polygon) >= 3] or None
     if annotation.get("keypoints"):
         points = _numbers(annotation["keypoints"], "keypoints").reshape(-1, 3)
         known["points"] = np.where(points[:, 2:] > 0, points[:, :2], np.nan)
@@ -205,8 +204,8 @@ def _moved(
     if seen.mask is not None:
         as_text = isinstance(annotation["segmentation"]["counts"], str)
         moved["segmentation"] = {"size": list(view.image_size), "counts": rle.encode(seen.mask, as_text=as_text)}
-    elif seen.polygons is not None:
-        moved["segmentation"] = [_rounded((p + HALF_PIXEL).ravel()) for p in seen.polygons if len(p)]
+    elif annotation.get("segmentation"):
+        moved["segmentation"] = [_rounded((p + HALF_PIXEL).ravel()) for p in seen.polygons or () if len(p)]
     if seen.points is not None and seen.points_valid is not None:
         flags = np.where(seen.points_valid, annotation["keypoints"][2::3], 0)
         where = np.where(seen.points_valid[:, None], seen.points, 0)

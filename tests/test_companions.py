@@ -378,7 +378,7 @@ def coco(data):
              "segmentation": {"size": list(SIZE), "counts": rle.encode(crowd, as_text=True)}},
             {"id": 3, "image_id": 7, "category_id": 3, "bbox": [0, 0, 2, 2], "area": 4, "segmentation": []},
             {"id": 4, "image_id": 7, "caption": "a fish"},
-            {"id": 5, "image_id": 8, "category_id": 3, "bbox": [10, 10, 20, 15], "area": 300},
+            {"id": 5, "image_id": 8, "category_id": 3, "bbox": [10, 10, 20, 15], "area": 300, "segmentation": [[1, 2, 3, 4]]},
             {"id": 6, "image_id": 9, "category_id": 3, "bbox": [10, 10, 20, 15], "area": 300},
         ],
     }  # fmt: skip
@@ -430,6 +430,7 @@ def test_a_coco_file_tells_of_the_rectified_pictures(data, coco):
 
     corners = fr.rectify_sample(fr.Sample(boxes=[[9.5, 9.5, 29.5, 24.5]]), CAMERA, VIEW).boxes[0]
     np.testing.assert_allclose(box["bbox"], [*corners[:2] + 0.5, *corners[2:] - corners[:2]], atol=0.006)
+    assert box["segmentation"] == []
     assert box["area"] == pytest.approx(box["bbox"][2] * box["bbox"][3], rel=0.01)
 
 
@@ -483,7 +484,7 @@ NO_COCO = {
     "box_of_3": ({"images": IMAGES, "annotations": [{"image_id": 1, "bbox": [1, 2, 3]}]}, r"annotations\[0\] as COCO has them"),
     "negative": ({"images": IMAGES, "annotations": [{"image_id": 1, "bbox": [1, 2, -3, 3]}]}, "negative size"),
     "odd_polygon": ({"images": IMAGES, "annotations": [{"image_id": 1, "segmentation": [[1, 2, 3, 4, 5, 6, 7]]}]}, r"annotations\[0\]"),
-    "polygon_of_2": ({"images": IMAGES, "annotations": [{"image_id": 1, "segmentation": [[1, 2, 3, 4]]}]}, "less than three points"),
+    "polygon_of_words": ({"images": IMAGES, "annotations": [{"image_id": 1, "segmentation": [["a", "b"]]}]}, r"annotations\[0\]"),
     "words": ({"images": IMAGES, "annotations": [{"image_id": 1, "keypoints": ["a", 1, 2]}]}, r"annotations\[0\]"),
     "mask_of_another_size": ({"images": IMAGES, "annotations": [{"image_id": 1, "segmentation": {"size": [2, 2], "counts": [4]}}]}, r"a mask of size \[2, 2\] in an image of \[48, 64\]"),
     "short_runs": ({"images": IMAGES, "annotations": [{"image_id": 1, "segmentation": {"size": [48, 64], "counts": [4]}}]}, "expected runs of 48 x 64 pixels in all, got 4"),
