@@ -20,6 +20,7 @@ from .sizes import parse_size
 if TYPE_CHECKING:
     import numpy as np
 
+    from ..cameras import Camera, FisheyeCamera
     from ..file_rectifiers import BlindRectifier, CalibratedRectifier, FileRectifier, ViewOptions
     from ..folders import Plan, Task
     from ..manifest import Manifest
@@ -172,10 +173,11 @@ def _run(
     from ..replacement import remove_leftovers
 
     settings, failures, made = rectifier.settings(), 0, 0
+    cameras: dict[Task, tuple[FisheyeCamera, Camera | None]] = {}
     complaints: Sequence[str] = []
-    cameras = {} if manifest is None else {task: manifest.cameras(task) for task in set(planned.tasks) - set(todo)}
+    targets = [target for task in todo for _, target in task.files]
     try:
-        remove_leftovers([target for task in todo for _, target in task.files])
+        remove_leftovers(targets if annotations is None else [*targets, annotations.target])
         with (
             file_progress(len(todo)) as progress,
             contextlib.closing(run(todo, rectifier, jobs=jobs, on_frame=progress.on_frame)) as outcomes,
@@ -194,8 +196,10 @@ def _run(
                 if error is not None:
                     failures += 1
                     progress.complain(f"fisheyerec rectify: {error}")
-        if annotations is not None and cameras:
-            complaints = annotations.write(planned, cameras, rotation)
+        if annotations is not None:
+            if manifest is not None:
+                cameras |= {task: manifest.cameras(task) for task in set(planned.tasks) - set(todo)}
+            complaints = annotations.write(planned, cameras, rotation) if cameras else []
     except OSError as error:
         raise fail("rectify", error) from error
     except KeyboardInterrupt:
