@@ -38,7 +38,7 @@ def is_tensor(value: object) -> bool:
     return torch is not None and isinstance(value, torch.Tensor)
 
 
-def _namespace(array: Any) -> Any:
+def namespace(array: Any) -> Any:
     """Give the module, torch or numpy, whose functions take this array; their names agree for what is used here."""
     return sys.modules["torch"] if is_tensor(array) else np
 
@@ -204,7 +204,7 @@ class Camera:
         return [self.params[..., i] for i in range(len(self.parameter_names))]
 
     def _with(self, columns: Sequence[Any], image_size: tuple[int, int]) -> Self:
-        return type(self)(_namespace(self.params).stack(columns, -1), image_size)
+        return type(self)(namespace(self.params).stack(columns, -1), image_size)
 
     def _single(self, function: str) -> np.ndarray:
         if self.params.ndim != 1:
@@ -306,7 +306,7 @@ class FisheyeCamera(Camera):
             raise ValueError(f"{where}: expected 4 coefficients k1..k4 in D for each K, got shape {tuple(D.shape)}")
         D = D.reshape(*batch, 4)
         columns = [*_matrix_columns(K), *(D[..., i] for i in range(4))]
-        return cls(_namespace(K).stack(columns, -1), image_size)
+        return cls(namespace(K).stack(columns, -1), image_size)
 
     def to_opencv(self) -> tuple[np.ndarray, np.ndarray]:
         """Give K (3, 3) and D (4,) for `cv2.fisheye`, in float64."""
@@ -333,12 +333,12 @@ class FisheyeCamera(Camera):
         if equation == 2:
             m_u, m_v = m_u * k1, m_v * k1
             k1, k2, k3, k4 = k2 / k1, k3 / k1, k4 / k1, 0 * k4
-        return cls(_namespace(P_d).stack([m_u, m_v, u_0, v_0, k1, k2, k3, k4], -1), image_size)
+        return cls(namespace(P_d).stack([m_u, m_v, u_0, v_0, k1, k2, k3, k4], -1), image_size)
 
     def to_paper(self) -> Any:
         """Give the paper's P_d = [k1..k4, m_u, m_v, u_0, v_0] in the sense of Eq. 3; (8,) or (B, 8)."""
         fx, fy, cx, cy, *k = self._columns()
-        return _namespace(self.params).stack([*k, fx, fy, cx, cy], -1)
+        return namespace(self.params).stack([*k, fx, fy, cx, cy], -1)
 
     @classmethod
     def from_projection(cls, projection: str, fov_deg: float, image_size: tuple[int, int]) -> Self:
@@ -483,7 +483,7 @@ class PinholeCamera(Camera):
             ValueError: another shape, or a skew.
         """
         K = _checked_matrix(f"{cls.__name__}.from_matrix()", K)
-        return cls(_namespace(K).stack(_matrix_columns(K), -1), image_size)
+        return cls(namespace(K).stack(_matrix_columns(K), -1), image_size)
 
     def to_matrix(self) -> np.ndarray:
         """Give the (3, 3) camera matrix in float64."""
@@ -516,7 +516,7 @@ class PinholeCamera(Camera):
         left, upper = -pixel.HALF_PIXEL, -pixel.HALF_PIXEL
         right, lower = source_width - pixel.HALF_PIXEL, source_height - pixel.HALF_PIXEL
         midpoints = np.array([(left, y), (right, y), (x, upper), (x, lower)])
-        params, xp = camera.params, _namespace(camera.params)
+        params, xp = camera.params, namespace(camera.params)
         points = xp.asarray(midpoints)
         if is_tensor(params):
             points = points.to(params)

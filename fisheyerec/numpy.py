@@ -12,6 +12,7 @@ from ._arguments import (
     RECTIFY,
     RESAMPLE,
     Names,
+    check_antialias,
     check_interpolates,
     check_interpolation,
     check_padding,
@@ -21,7 +22,7 @@ from ._arguments import (
 )
 from ._numpy import Plan as _KeptCoordinates
 from ._numpy import resample as _resample_channels
-from .antialiasing import antialiased
+from .antialiasing import bands, levels, reduce, shrunk
 from .cameras import Camera, FisheyeCamera
 
 
@@ -202,30 +203,32 @@ def resample_named(
     """Resample in the name of another function of the package, and in its words where it raises."""
     check_padding(names.function, padding)
     channels = _as_channels(names, image, interpolation)
-    if antialias and interpolation != "bilinear":
-        raise ValueError(f"{names.function}(): expected interpolation 'bilinear' for antialias, got {interpolation!r}")
+    check_antialias(names.function, antialias, interpolation)
     rotation = check_single(names, source, target, source_from_target)
     check_size(names, image.shape[:2], source)
     _check_threads(names, threads)
 
-    def take(channels: np.ndarray, source: Camera, target: Camera) -> tuple[np.ndarray, np.ndarray]:
-        return _resample_channels(
+    def take(channels: np.ndarray, source: Camera, target: Camera) -> Resampled:
+        out, valid = _resample_channels(
             channels,
             source.model,
-            source.numpy().params,
+            source.params,
             target.model,
-            target.numpy().params,
+            target.params,
             rotation,
             *target.image_size,
             interpolation,
             padding,
             threads or 0,
         )
+        return Resampled(out, valid)
 
+    source, target = source.numpy(), target.numpy()
     if antialias:
-        cameras = (source.numpy(), target.numpy())
-        out = antialiased(channels, *cameras, rotation, lambda *picture_and_cameras: take(*picture_and_cameras)[0])
-        valid = take(channels[..., :1], source, target)[1]
+        valid = take(channels[..., :1], source, target).valid
+        shrink, factor = levels(source, target, rotation)
+        small = shrunk(channels, source, shrink)
+        out = np.concatenate([reduce(take(*small, band).image, factor) for band in bands(target, factor)])
     else:
         out, valid = take(channels, source, target)
     return Resampled(out.reshape(*target.image_size, *image.shape[2:]), valid)

@@ -148,6 +148,7 @@ class Rectifier:
         size: tuple[int, int] | None = None,
         rotation: Any = None,
         interpolation: str = "bilinear",
+        antialias: bool = False,
         refine: bool = True,
     ) -> PhotoRectification:
         """Make a photo straight; one without fisheye distortion comes back as it is, whatever view was asked for.
@@ -164,6 +165,7 @@ class Rectifier:
             size: (height, width) of the result; None for the photo's.
             rotation: (3, 3) camera_from_view, which turns the view, as `view_rotation` gives it; None for none.
             interpolation: "bilinear" or "nearest".
+            antialias: whether to average where the photo shrinks, as in `fisheyerec.numpy.rectify`.
             refine: whether to refine the network's camera on the photo's lines.
 
         Without view, fov_deg, focal and balance the view is edge-matched (`PinholeCamera.edge_matched`).
@@ -188,7 +190,12 @@ class Rectifier:
             view = PinholeCamera.edge_matched(estimate.camera, opened.pixels.shape[:2])
         else:
             image, valid = door.rectify(
-                opened.pixels, estimate.camera, view, rotation=rotation, interpolation=interpolation
+                opened.pixels,
+                estimate.camera,
+                view,
+                rotation=rotation,
+                interpolation=interpolation,
+                antialias=antialias,
             )
             if estimate.image_circle is not None:
                 valid &= _seen_within(estimate.image_circle, estimate.camera, view, rotation)
