@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .cameras import Camera
+from .cameras import Camera, is_tensor
 
 INTERPOLATIONS = ("bilinear", "nearest")
 PADDINGS = ("zeros", "border")
@@ -35,6 +35,12 @@ def check_interpolation(function: str, interpolation: str) -> None:
         raise ValueError(f"{function}(): expected interpolation in {INTERPOLATIONS}, got {interpolation!r}")
 
 
+def check_antialias(function: str, antialias: bool, interpolation: str) -> None:
+    """Raise ValueError where labels would be averaged."""
+    if antialias and interpolation != "bilinear":
+        raise ValueError(f"{function}(): expected interpolation 'bilinear' for antialias, got {interpolation!r}")
+
+
 def check_padding(function: str, padding: str) -> None:
     """Raise ValueError unless the name is known."""
     if padding not in PADDINGS:
@@ -57,7 +63,9 @@ def check_single(names: Names, source: Any, target: Any, source_from_target: Any
 
 
 def rotation_matrix(function: str, rotation: Any) -> np.ndarray:
-    """Give a rotation as (3, 3) numbers, or raise."""
+    """Give a rotation as (3, 3) numbers, those of a tensor without its gradients, or raise."""
+    if is_tensor(rotation):
+        rotation = rotation.detach().cpu()
     try:
         matrix = np.asarray(rotation, dtype=np.float64)
     except (TypeError, ValueError):
@@ -76,10 +84,10 @@ def check_size(names: Names, size: tuple[int, ...], source: Camera) -> None:
         )
 
 
-def check_interpolates(names: Names, interpolates: bool, interpolation: str, dtype: object) -> None:
+def check_interpolates(names: Names, interpolates: bool, interpolation: str, dtype: object, taken: str) -> None:
     """Raise ValueError where a dtype of labels meets an interpolation that would mix them."""
     if not interpolates and interpolation != "nearest":
         raise ValueError(
-            f"{names.function}(): expected {names.image} of a floating dtype or uint8 for {interpolation}, "
+            f"{names.function}(): expected {names.image} of a floating dtype{taken} for {interpolation}, "
             f"got {dtype}; labels want interpolation='nearest'"
         )

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from . import numpy as door
 from ._arguments import DISTORT_SAMPLE, RECTIFY_SAMPLE, Names, check_single, rotation_matrix
-from .cameras import Camera, FisheyeCamera
-from .numpy import resample_named
-from .outlines import Transfer
+from .cameras import Camera, FisheyeCamera, is_tensor, namespace
+from .outlines import Transfer, moved_points
 
 TOLERANCE_PX = 0.1
 # Far above rounding: below, edges would be divided without end.
@@ -21,7 +21,7 @@ DEPTH_KINDS = ("z", "distance")
 
 # The pictures of a sample -> kinds of dtype, in NumPy's letters and in words.
 _RASTERS = {
-    "image": ("biuf", "a floating dtype or uint8"),
+    "image": ("biuf", "a floating dtype, uint8 or uint16"),
     "labels": ("biu", "an integer dtype"),
     "mask": ("b", "dtype bool"),
     "depth": ("iuf", "a floating or integer dtype"),
@@ -31,19 +31,22 @@ _RASTERS = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sample:
-    """A picture and what is known about it; whatever is left out is None.
+    """A picture and what is known about it, in NumPy arrays or torch tensors; whatever is left out is None.
+
+    Everything comes back as the kind of array it was. Pictures have their channels last in arrays, (H, W, C), and first
+    in tensors, (C, H, W). One picture, not a batch: boxes and polygons are as many as there are in each.
 
     Positions are (x, y) in pixels, integers at pixel centres, so that a box around pixels 3 to 7 spans 2.5 to 7.5.
     COCO and torchvision count from the picture's corner: their boxes and polygons less 1/2 are these.
     """
 
-    image: np.ndarray | None = None
-    """(H, W) or (H, W, C), uint8 or floating; interpolated."""
-    labels: np.ndarray | None = None
-    """(H, W) or (H, W, C), of any integer type; never mixed. 0 where nothing is seen."""
-    mask: np.ndarray | None = None
-    """(H, W) or (H, W, N) bool, of one or N objects; never mixed."""
-    depth: np.ndarray | None = None
+    image: Any = None
+    """(H, W), (H, W, C) or tensor (C, H, W), uint8, uint16 (arrays) or floating; interpolated."""
+    labels: Any = None
+    """(H, W), (H, W, C) or tensor (C, H, W), of any integer type; never mixed. 0 where nothing is seen."""
+    mask: Any = None
+    """(H, W), (H, W, N) or tensor (N, H, W), bool, of one or N objects; never mixed."""
+    depth: Any = None
     """(H, W) floating or integer, in any unit; never mixed, as between two surfaces there is none. 0 is unknown."""
     depth_kind: str = "z"
     """"z", along the camera's axis, or "distance", along each pixel's ray."""
@@ -54,13 +57,13 @@ class Sample:
     polygons: Sequence[Any] | None = None
     """N arrays (M, 2), M >= 3, each one closed outline."""
 
-    valid: np.ndarray | None = None
+    valid: Any = None
     """(H, W) bool: which pixels show anything; None for all."""
-    points_valid: np.ndarray | None = None
+    points_valid: Any = None
     """(...) bool: which points are seen; the others are NaN."""
-    boxes_visible: np.ndarray | None = None
+    boxes_visible: Any = None
     """(N,) in [0, 1]: the share of the original box that is seen; a box of which nothing is seen is NaN."""
-    polygons_visible: np.ndarray | None = None
+    polygons_visible: Any = None
     """(N,) in [0, 1], of polygons likewise; one of which nothing is seen is (0, 2)."""
 
 
@@ -82,6 +85,10 @@ def rectify_sample(
     view shows of it, its edges divided to follow their curves. Parts that the view's border cuts apart stay joined by a
     line along it. Boxes and polygons that reach beyond the picture are moved as far as the lens reaches.
 
+    Where the image, the depth or the points are tensors, gradients flow from them to what was given, and to the camera,
+    the view and the rotation: as in `fisheyerec.rectify`; of depth, for which the lens only chooses pixels, through the
+    turn of the axis alone. Boxes and polygons have none.
+
     Args:
         sample: what is known in the fisheye picture. Where it was moved before, what was not valid stays so.
         camera: the fisheye camera, of image size (H, W).
@@ -90,7 +97,7 @@ def rectify_sample(
         padding: what of the image lies outside: "zeros" or "border".
         antialias: whether the image is averaged where it shrinks, as in `fisheyerec.numpy.rectify`.
         tolerance_px: how far a polygon, or the edge of a box, may stray from its curve, at least 0.001.
-        threads: how many threads; None for OpenMP's default (OMP_NUM_THREADS).
+        threads: how many threads, for arrays; None for OpenMP's default (OMP_NUM_THREADS). Tensors go by torch's.
 
     Returns:
         A Sample with what was given, in the view; `valid` (h, w) where a picture of any kind was given.
@@ -114,7 +121,10 @@ def distort_sample(
     threads: int | None = None,
 ) -> Sample:
     """Show a sample as a fisheye camera would have taken it: the mirror of `rectify_sample`, with its errors."""
-    view_from_camera = None if rotation is None else rotation_matrix("distort_sample", rotation).T
+    view_from_camera = rotation
+    if rotation is not None:
+        matrix = rotation_matrix("distort_sample", rotation)
+        view_from_camera = rotation.mT if is_tensor(rotation) else matrix.T
     return _moved(DISTORT_SAMPLE, sample, view, camera, view_from_camera, padding, antialias, tolerance_px, threads)
 
 
@@ -129,13 +139,20 @@ def _moved(
     tolerance_px: float,
     threads: int | None,
 ) -> Sample:
-    rotation = check_single(names, source, target, source_from_target)
+    matrix = check_single(names, source, target, source_from_target)
     _check(names.function, sample, tolerance_px)
 
-    def take(name: str, raster: np.ndarray, interpolation: str = "nearest") -> tuple[np.ndarray, np.ndarray]:
+    def cameras_for(values: Any) -> tuple[Camera, Camera, Any]:
+        """The cameras and the rotation in NumPy's terms, or for a tensor as they came, for gradients to reach them."""
+        if not is_tensor(values):
+            return source.numpy(), target.numpy(), matrix
+        turn = source_from_target
+        return source, target, turn if turn is None or is_tensor(turn) else namespace(values).as_tensor(matrix)
+
+    def take(name: str, raster: Any, interpolation: str = "nearest") -> tuple[Any, Any]:
         named = names._replace(image=f"sample.{name}")
         outside, average = (padding, antialias) if interpolation == "bilinear" else ("zeros", False)
-        return resample_named(named, raster, source, target, rotation, interpolation, outside, average, threads)
+        return _resampled(named, raster, *cameras_for(raster), interpolation, outside, average, threads)
 
     moved: dict[str, Any] = {}
     if sample.image is not None:
@@ -146,42 +163,95 @@ def _moved(
         moved["mask"], moved["valid"] = take("mask", sample.mask)
     if sample.depth is not None:
         depth = sample.depth
-        if sample.depth_kind == "z" and rotation is not None:
-            depth = _turned_depth(depth, source, rotation)
+        if sample.depth_kind == "z" and matrix is not None:
+            seen_from, _, turn = cameras_for(depth)
+            depth = _turned_depth(depth, seen_from, turn)
         moved["depth"], moved["valid"] = take("depth", depth)
     if sample.valid is not None:
         moved["valid"], _ = take("valid", sample.valid)
 
-    transfer = Transfer(source, target, rotation, tolerance_px)
     if sample.points is not None:
         points = _positions(names.function, "points", sample.points, "(..., 2)", 2)
-        moved["points"], moved["points_valid"] = transfer.points(points)
+        positions, moved["points_valid"] = moved_points(points, *cameras_for(points))
+        moved["points"] = _as(points, positions)
+    transfer = Transfer(source, target, matrix, tolerance_px)
     if sample.boxes is not None:
-        outlines, shares = transfer.polygons(_outlines_of_boxes(names.function, sample.boxes))
+        boxes = _positions(names.function, "boxes", sample.boxes, "(N, 4)", 4)
+        outlines, shares = transfer.polygons(_outlines_of_boxes(names.function, _array(boxes)))
         nothing = np.full((1, 2), np.nan)
         spans = [(p.min(0), p.max(0)) for p in (outline if len(outline) else nothing for outline in outlines)]
-        moved["boxes"], moved["boxes_visible"] = np.array(spans).reshape(-1, 4), shares
+        moved["boxes"], moved["boxes_visible"] = _as(boxes, np.array(spans).reshape(-1, 4)), _as(boxes, shares)
     if sample.polygons is not None:
-        polygons = _outlines_of_polygons(names.function, sample.polygons)
-        moved["polygons"], moved["polygons_visible"] = transfer.polygons(polygons)
+        polygons = _polygons(names.function, sample.polygons)
+        outlines, shares = transfer.polygons([_array(polygon) for polygon in polygons])
+        moved["polygons"] = [_as(polygon, outline) for polygon, outline in zip(polygons, outlines, strict=True)]
+        moved["polygons_visible"] = _as(polygons[0], shares) if polygons else shares
     return Sample(depth_kind=sample.depth_kind, **moved)
 
 
-def _turned_depth(depth: np.ndarray, source: Camera, source_from_target: np.ndarray) -> np.ndarray:
+def _resampled(
+    names: Names,
+    raster: Any,
+    source: Camera,
+    target: Camera,
+    source_from_target: Any,
+    interpolation: str,
+    padding: str,
+    antialias: bool,
+    threads: int | None,
+) -> tuple[Any, Any]:
+    """Resample through the door for arrays, channels last, or the one for tensors, channels first."""
+    arguments = (source, target, source_from_target, interpolation, padding, antialias)
+    if not is_tensor(raster):
+        return door.resample_named(names, raster, *arguments, threads)
+    from . import rectification
+
+    if raster.ndim not in (2, 3):
+        raise ValueError(
+            f"{names.function}(): expected {names.image} of shape (H, W) or (C, H, W), got {tuple(raster.shape)}"
+        )
+    channels = raster[None, None] if raster.ndim == 2 else raster[None]
+    out, valid = rectification.resample_named(names, channels, *arguments)
+    return (out[0, 0] if raster.ndim == 2 else out[0]), valid[0, 0]
+
+
+def _turned_depth(depth: Any, source: Camera, source_from_target: Any) -> Any:
     """Depth along the target's axis of what the source's pixels show: z_target = z_source (R^T ray)_z / ray_z.
 
     0, unknown, where the source itself has no depth along its axis, 90 degrees off it and beyond.
     """
+    xp = namespace(depth)
     height, width = depth.shape
     pixels = np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(height))), -1)
-    rays, valid = source.numpy().unproject(pixels)
+    rays, valid = source.unproject(depth.new_tensor(pixels, dtype=xp.float64) if is_tensor(depth) else pixels)
+    axis = source_from_target[:, 2].to(rays) if is_tensor(depth) else source_from_target[:, 2]
     ahead = valid & (rays[..., 2] > 0)
-    ratio = (rays @ source_from_target[:, 2]) / np.where(ahead, rays[..., 2], 1)
-    turned = np.where(ahead, depth * ratio, 0)
-    if depth.dtype.kind != "f":
-        limits = np.iinfo(depth.dtype)
-        turned = np.rint(turned).clip(limits.min, limits.max)
-    return turned.astype(depth.dtype)
+    rays = xp.where(ahead[..., None], rays, 1)
+    turned = xp.where(ahead, depth * (rays @ axis) / rays[..., 2], 0)
+    if _kind(depth) != "f":
+        limits = xp.iinfo(depth.dtype)
+        turned = xp.round(turned).clip(limits.min, limits.max)
+    return turned.to(depth.dtype) if is_tensor(depth) else turned.astype(depth.dtype)
+
+
+def _kind(values: Any) -> str:
+    """NumPy's letter for the dtype of an array or a tensor."""
+    if not is_tensor(values):
+        return str(values.dtype.kind)
+    if values.dtype == namespace(values).bool:
+        return "b"
+    return "f" if values.is_floating_point() else "c" if values.is_complex() else "i"
+
+
+def _array(values: Any) -> np.ndarray:
+    return np.asarray(values.detach().cpu() if is_tensor(values) else values, dtype=np.float64)
+
+
+def _as(given: Any, values: Any) -> Any:
+    """Values in the kind of array that was given: a tensor's device, and its dtype."""
+    if not is_tensor(given):
+        return values
+    return namespace(given).as_tensor(values).to(given)
 
 
 def _check(function: str, sample: Any, tolerance_px: Any) -> None:
@@ -191,12 +261,14 @@ def _check(function: str, sample: Any, tolerance_px: Any) -> None:
         raster = getattr(sample, name)
         if raster is None:
             continue
-        if not isinstance(raster, np.ndarray):
-            raise TypeError(f"{function}(): expected sample.{name} as a NumPy array, got {type(raster).__name__}")
-        if raster.dtype.kind not in kinds:
+        if not (isinstance(raster, np.ndarray) or is_tensor(raster)):
+            raise TypeError(
+                f"{function}(): expected sample.{name} as a NumPy array or a tensor, got {type(raster).__name__}"
+            )
+        if _kind(raster) not in kinds:
             raise ValueError(f"{function}(): expected sample.{name} of {dtype}, got {raster.dtype}")
         if name in ("depth", "valid") and raster.ndim != 2:
-            raise ValueError(f"{function}(): expected sample.{name} of shape (H, W), got {raster.shape}")
+            raise ValueError(f"{function}(): expected sample.{name} of shape (H, W), got {tuple(raster.shape)}")
     if sample.depth_kind not in DEPTH_KINDS:
         raise ValueError(f"{function}(): expected sample.depth_kind in {DEPTH_KINDS}, got {sample.depth_kind!r}")
     if not (isinstance(tolerance_px, int | float) and tolerance_px >= SMALLEST_TOLERANCE_PX):
@@ -205,21 +277,23 @@ def _check(function: str, sample: Any, tolerance_px: Any) -> None:
         )
 
 
-def _positions(function: str, name: str, values: Any, shape: str, columns: int) -> np.ndarray:
-    """Numbers as float64, (..., columns); an empty list as (0, columns)."""
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(f"{function}(): expected sample.{name} as numbers {shape}, got {values!r:.60}") from None
-    if array.shape == (0,):
+def _positions(function: str, name: str, values: Any, shape: str, columns: int) -> Any:
+    """Numbers as floats (..., columns), a tensor's as they are, else float64; an empty list as (0, columns)."""
+    if is_tensor(values) and _kind(values) in "fi":
+        array = values if values.is_floating_point() else values.to(namespace(values).get_default_dtype())
+    else:
+        try:
+            array = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise TypeError(f"{function}(): expected sample.{name} as numbers {shape}, got {values!r:.60}") from None
+    if tuple(array.shape) == (0,):
         array = array.reshape(0, columns)
     if array.ndim < 1 or array.shape[-1] != columns or (shape[1] != "." and array.ndim != 2):
-        raise ValueError(f"{function}(): expected sample.{name} of shape {shape}, got {array.shape}")
+        raise ValueError(f"{function}(): expected sample.{name} of shape {shape}, got {tuple(array.shape)}")
     return array
 
 
-def _outlines_of_boxes(function: str, values: Any) -> list[np.ndarray]:
-    boxes = _positions(function, "boxes", values, "(N, 4)", 4)
+def _outlines_of_boxes(function: str, boxes: np.ndarray) -> list[np.ndarray]:
     for i in np.flatnonzero((boxes[:, 2:] < boxes[:, :2]).any(-1))[:1]:
         raise ValueError(
             f"{function}(): expected sample.boxes as (x0, y0, x1, y1) with x0 <= x1 and y0 <= y1, "
@@ -228,13 +302,13 @@ def _outlines_of_boxes(function: str, values: Any) -> list[np.ndarray]:
     return [box[[[0, 1], [2, 1], [2, 3], [0, 3]]] for box in boxes]
 
 
-def _outlines_of_polygons(function: str, values: Any) -> list[np.ndarray]:
-    if not isinstance(values, Sequence | np.ndarray):
+def _polygons(function: str, values: Any) -> list[Any]:
+    if not (isinstance(values, Sequence | np.ndarray) or is_tensor(values)):
         raise TypeError(f"{function}(): expected sample.polygons as a list of arrays, got {type(values).__name__}")
     polygons = [_positions(function, f"polygons[{i}]", p, "(M, 2)", 2) for i, p in enumerate(values)]
     for i, polygon in enumerate(polygons):
         if len(polygon) in (1, 2):
             raise ValueError(
-                f"{function}(): expected sample.polygons[{i}] of shape (M, 2) with M >= 3, got {polygon.shape}"
+                f"{function}(): expected sample.polygons[{i}] of shape (M, 2) with M >= 3, got {tuple(polygon.shape)}"
             )
     return polygons

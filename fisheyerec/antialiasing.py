@@ -3,17 +3,23 @@
 The target is made larger, so that each step between its pixels is at most _STEP source pixels, and averaged down: every
 pixel is the mean over its own footprint, whatever the lens makes of that. Where this would take more than _MAX_FACTOR
 times the size, a source that shrinks everywhere is averaged down first; that is sooner done, and less exact.
+
+    levels -> (shrink, factor)          numbers, of the cameras alone
+    reduce the image by shrink -> resample into each of the bands -> reduce by factor
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 import numpy as np
 
 from . import pixel
 from .cameras import Camera
+
+C = TypeVar("C", bound=Camera)
 
 # Against 64 samples a pixel this costs about 51 dB at 5 samples a pixel on average; steps of 2 cost 45 dB at 3.
 _STEP = 1.5
@@ -22,25 +28,18 @@ _MAX_FACTOR = 8
 _BAND = 1 << 23
 
 
-def antialiased(
-    image: np.ndarray,
-    source: Camera,
-    target: Camera,
-    source_from_target: np.ndarray | None,
-    take: Callable[[np.ndarray, Camera, Camera], np.ndarray],
-) -> np.ndarray:
-    """Resample a picture with averaging.
+def levels(source: Camera, target: Camera, source_from_target: np.ndarray | None) -> tuple[int, int]:
+    """Choose how a picture is resampled with averaging.
 
     Args:
-        image: (H, W, C), uint8 or floating.
-        source: the camera that took it.
-        target: the camera to see it through, of image size (h, w).
+        source: the camera that took it; one.
+        target: the camera to see it through; one.
         source_from_target: (3, 3) rotation of the target's rays into the source's frame; None for none.
-        take: resamples an image from one camera into another: (image, source, target) -> (h, w, C).
 
     Returns:
-        (h, w, C).
+        How many times the source is to be averaged down first, and how many times as large the target is to be made.
     """
+    source, target = source.numpy(), target.numpy()
 
     def look_up(rays: np.ndarray) -> np.ndarray:
         points, _ = source.project(rays if source_from_target is None else rays @ source_from_target.T)
@@ -52,22 +51,33 @@ def antialiased(
 
     smallest, largest = steps(target, look_up)
     shrink = max(1, min(int(smallest), math.ceil(largest / (_STEP * _MAX_FACTOR))))
-    image, source = shrunk(image, source, shrink)
-    factor = oversampling(largest / shrink)
+    return shrink, oversampling(largest / shrink)
+
+
+def bands(target: C, factor: int, count: int = 1) -> Iterator[C]:
+    """Cut a camera whose picture is `factor` times as large into bands of whole rows of the target, of limited size.
+
+    Args:
+        target: the camera, of any kind of parameters.
+        factor: how many times as large its picture is to be.
+        count: how many pictures are made at once.
+    """
     height, width = target.image_size
     enlarged = target.resize((factor * height, factor * width))
-    rows = max(1, _BAND // (factor * factor * width))
-    bands = []
+    rows = max(1, _BAND // (factor * factor * width * count))
     for top in range(0, height, rows):
-        size = (factor * min(rows, height - top), factor * width)
-        bands.append(reduce(take(image, source, enlarged.crop(0, factor * top, size)), factor))
-    return np.concatenate(bands)
+        yield enlarged.crop(0, factor * top, (factor * min(rows, height - top), factor * width))
 
 
-def shrunk(image: np.ndarray, camera: Camera, factor: int) -> tuple[np.ndarray, Camera]:
+def shrunk_camera(camera: C, factor: int) -> C:
+    """Give the camera that took a picture averaged down by `reduce`."""
+    height, width = camera.image_size
+    return type(camera)(camera.scale(1 / factor).params, (math.ceil(height / factor), math.ceil(width / factor)))
+
+
+def shrunk(image: np.ndarray, camera: C, factor: int) -> tuple[np.ndarray, C]:
     """Give a picture averaged down, and the camera that took it so."""
-    small = reduce(image, factor)
-    return small, type(camera)(camera.scale(1 / factor).params, small.shape[:2])
+    return reduce(image, factor), shrunk_camera(camera, factor)
 
 
 def steps(target: Camera, look_up: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
@@ -96,11 +106,11 @@ def reduce(image: np.ndarray, factor: int) -> np.ndarray:
     """Average blocks of pixels, the last ones of a row or column over what there is.
 
     Args:
-        image: (H, W, ...), uint8 or floating.
+        image: (H, W, ...), uint8, uint16 or floating.
         factor: how many pixels a block is wide and high.
 
     Returns:
-        (ceil(H / factor), ceil(W / factor), ...) of the same dtype; uint8 is rounded half up.
+        (ceil(H / factor), ceil(W / factor), ...) of the same dtype; uint8 and uint16 are rounded half up.
     """
     if factor == 1:
         return image
@@ -126,4 +136,5 @@ def reduce(image: np.ndarray, factor: int) -> np.ndarray:
         count = np.multiply.outer(rows, columns).reshape(len(rows), len(columns), *[1] * (image.ndim - 2)).astype(dtype)
     if image.dtype == np.uint8:
         return np.asarray((2 * total + count) // (2 * count), np.uint8)
-    return np.asarray(total / count, image.dtype)
+    mean = total / count
+    return np.asarray(np.floor(mean + 1 / 2) if image.dtype.kind == "u" else mean, image.dtype)

@@ -59,7 +59,7 @@ def run(
 
         start = time.perf_counter()
         try:
-            report = rectifier(task.source, task.target, on_frame=proceed)
+            report = rectifier(task, on_frame=proceed)
         except Exception as error:  # decoders raise anything on a broken file, and the rest is to be done
             return Outcome(task, time.perf_counter() - start, None, one_line(error))
         return Outcome(task, time.perf_counter() - start, report, report.complaint)

@@ -38,7 +38,7 @@ def is_tensor(value: object) -> bool:
     return torch is not None and isinstance(value, torch.Tensor)
 
 
-def _namespace(array: Any) -> Any:
+def namespace(array: Any) -> Any:
     """Give the module, torch or numpy, whose functions take this array; their names agree for what is used here."""
     return sys.modules["torch"] if is_tensor(array) else np
 
@@ -67,7 +67,8 @@ class Camera:
         shape = tuple(self.params.shape)
         if shape != (len(self.parameter_names),):
             return f"{type(self).__name__}(params={shape}, image_size=({height}, {width}))"
-        numbers = (f"{n}={float(p):.6g}" for n, p in zip(self.parameter_names, self.params, strict=True))
+        values = self.params if isinstance(self.params, np.ndarray) else self.params.detach()
+        numbers = (f"{n}={float(p):.6g}" for n, p in zip(self.parameter_names, values, strict=True))
         return f"{type(self).__name__}({', '.join(numbers)}, image_size=({height}, {width}))"
 
     @classmethod
@@ -203,7 +204,7 @@ class Camera:
         return [self.params[..., i] for i in range(len(self.parameter_names))]
 
     def _with(self, columns: Sequence[Any], image_size: tuple[int, int]) -> Self:
-        return type(self)(_namespace(self.params).stack(columns, -1), image_size)
+        return type(self)(namespace(self.params).stack(columns, -1), image_size)
 
     def _single(self, function: str) -> np.ndarray:
         if self.params.ndim != 1:
@@ -265,10 +266,17 @@ class FisheyeCamera(Camera):
 
     @property
     def theta_max(self) -> Any:
-        """The first extremum of theta_d in (0, pi], or pi: rays further off the axis are invalid; () or (B,)."""
+        """The first extremum of theta_d in (0, pi], or pi: rays further off the axis are invalid; () or (B,).
+
+        A tensor where the parameters are one.
+        """
+        params = self.params
+        if not isinstance(params, np.ndarray):
+            from . import reference
+
+            return reference.theta_max(params)
         from . import _numpy
 
-        params = self.numpy().params
         limits = np.array([_numpy.theta_max(k) for k in np.atleast_2d(params)[:, 4:]])
         return limits.reshape(params.shape[:-1])[()]
 
@@ -298,7 +306,7 @@ class FisheyeCamera(Camera):
             raise ValueError(f"{where}: expected 4 coefficients k1..k4 in D for each K, got shape {tuple(D.shape)}")
         D = D.reshape(*batch, 4)
         columns = [*_matrix_columns(K), *(D[..., i] for i in range(4))]
-        return cls(_namespace(K).stack(columns, -1), image_size)
+        return cls(namespace(K).stack(columns, -1), image_size)
 
     def to_opencv(self) -> tuple[np.ndarray, np.ndarray]:
         """Give K (3, 3) and D (4,) for `cv2.fisheye`, in float64."""
@@ -325,12 +333,12 @@ class FisheyeCamera(Camera):
         if equation == 2:
             m_u, m_v = m_u * k1, m_v * k1
             k1, k2, k3, k4 = k2 / k1, k3 / k1, k4 / k1, 0 * k4
-        return cls(_namespace(P_d).stack([m_u, m_v, u_0, v_0, k1, k2, k3, k4], -1), image_size)
+        return cls(namespace(P_d).stack([m_u, m_v, u_0, v_0, k1, k2, k3, k4], -1), image_size)
 
     def to_paper(self) -> Any:
         """Give the paper's P_d = [k1..k4, m_u, m_v, u_0, v_0] in the sense of Eq. 3; (8,) or (B, 8)."""
         fx, fy, cx, cy, *k = self._columns()
-        return _namespace(self.params).stack([*k, fx, fy, cx, cy], -1)
+        return namespace(self.params).stack([*k, fx, fy, cx, cy], -1)
 
     @classmethod
     def from_projection(cls, projection: str, fov_deg: float, image_size: tuple[int, int]) -> Self:
@@ -475,7 +483,7 @@ class PinholeCamera(Camera):
             ValueError: another shape, or a skew.
         """
         K = _checked_matrix(f"{cls.__name__}.from_matrix()", K)
-        return cls(_namespace(K).stack(_matrix_columns(K), -1), image_size)
+        return cls(namespace(K).stack(_matrix_columns(K), -1), image_size)
 
     def to_matrix(self) -> np.ndarray:
         """Give the (3, 3) camera matrix in float64."""
@@ -508,7 +516,7 @@ class PinholeCamera(Camera):
         left, upper = -pixel.HALF_PIXEL, -pixel.HALF_PIXEL
         right, lower = source_width - pixel.HALF_PIXEL, source_height - pixel.HALF_PIXEL
         midpoints = np.array([(left, y), (right, y), (x, upper), (x, lower)])
-        params, xp = camera.params, _namespace(camera.params)
+        params, xp = camera.params, namespace(camera.params)
         points = xp.asarray(midpoints)
         if is_tensor(params):
             points = points.to(params)
@@ -517,8 +525,7 @@ class PinholeCamera(Camera):
         rays, valid = camera.unproject(points)
         widest = EDGE_MATCHED_THETA_MAX * xp.ones_like(params[..., :1])
         # Where an edge lies beyond the lens, its angle is unknown but no smaller than theta_max.
-        beyond = np.minimum(camera.theta_max, EDGE_MATCHED_THETA_MAX)
-        beyond = xp.asarray(beyond).to(params) if is_tensor(params) else beyond
+        beyond = camera.theta_max.clip(max=EDGE_MATCHED_THETA_MAX)
         rays = xp.where(valid[..., None], rays, xp.ones_like(rays))
         theta = xp.atan2(xp.hypot(rays[..., 0], rays[..., 1]), rays[..., 2])
         theta = xp.where(valid, theta, beyond[..., None])

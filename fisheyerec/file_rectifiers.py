@@ -12,6 +12,8 @@ import numpy as np
 
 from . import numpy as door
 from .cameras import Camera, FisheyeCamera
+from .companions import moved
+from .folders import Task
 from .manifest import camera_entry
 from .pictures import PICTURE_SUFFIXES, Picture, picture_format_of, read_picture, write_picture
 from .views import view_for, view_rotation
@@ -38,8 +40,8 @@ class FileReport:
 
     camera: FisheyeCamera
     """The camera of the input, at its size."""
-    view: Camera
-    """The camera of the output."""
+    view: Camera | None
+    """The camera of the output; None where it came out as it went in."""
     summary: str
     """What to say of it, in one line."""
     complaint: str | None = None
@@ -47,19 +49,18 @@ class FileReport:
 
 
 class FileRectifier(Protocol):
-    """Makes one file from another, whole or not at all."""
+    """Makes one file from another, and from its companions, each whole or not at all."""
 
-    def __call__(self, source: Path, target: Path, *, on_frame: OnFrame) -> FileReport:
-        """Rectify source into target.
+    def __call__(self, task: Task, *, on_frame: OnFrame) -> FileReport:
+        """Rectify a picture with its companions, or a video.
 
         Args:
-            source: a picture or video file.
-            target: the file to write; an older one is replaced.
+            task: the file to read and the one to write, and the companions of a picture; older files are replaced.
             on_frame: called with the frames of a video that are done and, if known, how many there will be; what it
                 raises ends the work.
 
         Raises:
-            ValueError: source is broken or does not fit, or target has an unknown suffix.
+            ValueError: a file is broken or does not fit, or its target has an unknown suffix.
             OSError: a file cannot be read or written.
         """
 
@@ -78,6 +79,7 @@ class CalibratedRectifier:
         interpolation: "bilinear" or "nearest" (pictures only).
         quality: from 1 to 100; None for the defaults of `write_picture` and `rectify_video`.
         threads: how many for one picture; None for OpenMP's default.
+        antialias: whether to average where a picture shrinks (pictures only).
     """
 
     camera: FisheyeCamera
@@ -86,9 +88,11 @@ class CalibratedRectifier:
     interpolation: str = "bilinear"
     quality: int | None = None
     threads: int | None = None
+    antialias: bool = False
 
-    def __call__(self, source: Path, target: Path, *, on_frame: OnFrame) -> FileReport:
-        """Rectify source into target; see `FileRectifier`."""
+    def __call__(self, task: Task, *, on_frame: OnFrame) -> FileReport:
+        """Rectify a file; see `FileRectifier`."""
+        source, target, companions = task
         if is_video(source):
             from . import video
 
@@ -100,15 +104,19 @@ class CalibratedRectifier:
             return FileReport(camera, self.view, f"{_describe(self.view)}, {result.summary}", result.complaint)
         picture = read_picture(source)
         camera = camera_at(self.camera, picture.pixels.shape[:2], source)
+        writers = moved(companions, camera, self.view, self.rotation)
         image, valid = door.rectify(
             picture.pixels,
             camera,
             self.view,
             rotation=self.rotation,
             interpolation=self.interpolation,
+            antialias=self.antialias,
             threads=self.threads,
         )
         write_picture(target, Picture(image, picture.metadata), quality=self.quality)
+        for write in writers:
+            write()
         return FileReport(camera, self.view, f"{_describe(self.view)}, {valid.mean():.1%} valid")
 
     def settings(self) -> dict[str, Any]:
@@ -118,6 +126,7 @@ class CalibratedRectifier:
             "view": camera_entry(self.view),
             "rotation": None if self.rotation is None else self.rotation.tolist(),
             "interpolation": self.interpolation,
+            "antialias": self.antialias,
             "quality": self.quality,
         }
 
@@ -164,6 +173,7 @@ class BlindRectifier:
         quality: from 1 to 100; None for the defaults of `write_picture` and `rectify_video`.
         weights: a weights file; None for the package's own.
         refine: whether to refine estimates on lines.
+        antialias: whether to average where a picture shrinks (pictures only).
     """
 
     options: ViewOptions
@@ -171,9 +181,11 @@ class BlindRectifier:
     quality: int | None = None
     weights: Path | None = None
     refine: bool = True
+    antialias: bool = False
 
-    def __call__(self, source: Path, target: Path, *, on_frame: OnFrame) -> FileReport:
-        """Rectify source into target; see `FileRectifier`."""
+    def __call__(self, task: Task, *, on_frame: OnFrame) -> FileReport:
+        """Rectify a file; see `FileRectifier`."""
+        source, target, companions = task
         if is_video(source):
             return self._rectify_video(source, target, on_frame)
         picture = read_picture(source)
@@ -185,13 +197,18 @@ class BlindRectifier:
             size=options.size,
             rotation=options.rotation(),
             interpolation=self.interpolation,
+            antialias=self.antialias,
             refine=self.refine,
             **options.zoom(),
         )
+        view = result.view if result.distorted else None
+        writers = moved(companions, result.camera, view, options.rotation())
         write_picture(target, Picture(result.image, picture.metadata), quality=self.quality)
+        for write in writers:
+            write()
         height, width = result.valid.shape
         shown = f"{width}x{height}, {result.valid.mean():.1%} valid" if result.distorted else "as it was"
-        return FileReport(result.camera, result.view, f"{shown}, {describe(result)}")
+        return FileReport(result.camera, view, f"{shown}, {describe(result)}")
 
     def _rectify_video(self, source: Path, target: Path, on_frame: OnFrame) -> FileReport:
         from . import video
@@ -204,11 +221,11 @@ class BlindRectifier:
         found = pool([estimate(frame) for frame in video.sample_frames(source)])
         if not found.distorted:
             video.copy_video(source, target)
-            view = ViewOptions().view_of(found.camera)
-            return FileReport(found.camera, view, f"as it was, {describe(found)}")
+            return FileReport(found.camera, None, f"as it was, {describe(found)}")
         height, width = found.camera.image_size
         options = replace(self.options, size=self.options.size or (height - height % 2, width - width % 2))
-        view, rotation = options.view_of(found.camera), options.rotation()
+        view = options.view_of(found.camera_to_view(options.mode, options.balance))
+        rotation = options.rotation()
         result = video.rectify_video(
             source, target, found.camera, view, rotation=rotation, quality=self.quality, on_frame=on_frame
         )

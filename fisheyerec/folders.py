@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+import functools
 import glob
 import os
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 
+class Companion(NamedTuple):
+    """A file that belongs to a picture, and the one to make from it."""
+
+    kind: str
+    source: Path
+    target: Path
+
+
 class Task(NamedTuple):
-    """One file to make from another."""
+    """One file to make from another, and what moves along."""
 
     source: Path
     target: Path
+    companions: tuple[Companion, ...] = ()
+
+    @property
+    def files(self) -> list[tuple[Path, Path]]:
+        """What is read and what is made of it: first its own."""
+        return [(self.source, self.target), *((source, target) for _, source, target in self.companions)]
 
 
 class Plan(NamedTuple):
@@ -59,6 +74,60 @@ def plan(
         raise ValueError(f"expected files to work on, got none in {', '.join(map(str, inputs))}")
     _check_targets(tasks)
     return Plan(tasks, folder)
+
+
+def accompany(planned: Plan, kind: str, source: Path, target: Path, suffixes: Sequence[str]) -> Plan:
+    """Give each picture its companion of a kind, such as its label map, and name what is made of that.
+
+    Args:
+        planned: the pictures.
+        kind: what the companions are.
+        source: a folder, in which they have the relative names of the pictures, with suffixes of their own; or the file
+            of the only picture. One that does not exist is planned all the same.
+        target: a folder, in which what is made of them has the same names; or, from a file, a file.
+        suffixes: what files of this kind have, in lower case, the commonest first.
+
+    Raises:
+        ValueError: one file for several pictures, several for one, another suffix, or what was to be made would replace
+            an input or something else to be made.
+        OSError: a folder cannot be read.
+    """
+    if source.is_dir():
+        found = _companions_in(source, planned, suffixes)
+        targets = [target / file.relative_to(source) for file in found]
+    elif len(planned.tasks) == 1:
+        found, targets = [source], [target / source.name if target.is_dir() else target]
+    else:
+        raise ValueError(f"expected a folder of {kind} for {len(planned.tasks)} files, got {source}")
+    for file in (*found, *targets):
+        if file.suffix.lower() not in suffixes:
+            raise ValueError(f"expected {kind} in a file with a suffix such as {suffixes[0]}, got {file}")
+    tasks = [
+        task._replace(companions=(*task.companions, Companion(kind, *paths)))
+        for task, *paths in zip(planned.tasks, found, targets, strict=True)
+    ]
+    _check_targets(tasks)
+    return planned._replace(tasks=tasks)
+
+
+def _companions_in(folder: Path, planned: Plan, suffixes: Sequence[str]) -> list[Path]:
+    @functools.cache
+    def by_stem(parent: Path) -> dict[str, list[Path]]:
+        files = defaultdict(list)
+        for file in sorted(parent.iterdir()) if parent.is_dir() else []:
+            if file.suffix.lower() in suffixes:
+                files[file.stem].append(file)
+        return files
+
+    found = []
+    for source, target, _ in planned.tasks:
+        below = Path() if planned.folder is None else target.parent.relative_to(planned.folder)
+        namesake = folder / below / source.name
+        files = by_stem(namesake.parent).get(source.stem, [namesake.with_suffix(suffixes[0])])
+        if len(files) > 1 and namesake not in files:
+            raise ValueError(f"expected one companion of {source}, got {files[0]} and {files[1]}")
+        found.append(namesake if namesake in files else files[0])
+    return found
 
 
 def _is_pattern(path: Path) -> bool:
@@ -111,12 +180,12 @@ def _into_folder(found: Sequence[_Found], output: Path, target_suffix: Callable[
 
 def _check_targets(tasks: Sequence[Task]) -> None:
     made: dict[Path, Path] = {}
-    for source, target in tasks:
+    for source, target in (file for task in tasks for file in task.files):
         if target in made:
             raise ValueError(f"expected an output for each input, got {target} for {made[target]} and {source}")
         made[target] = source
-    sources = {_identity(source) for source, _ in tasks} - {None}
-    for _, target in tasks:
+    sources = {_identity(source) for source in made.values()} - {None}
+    for target in made:
         if _identity(target) in sources:
             raise ValueError(f"expected an output other than the picture itself, got {target}")
 

@@ -12,6 +12,7 @@ from ._arguments import (
     RECTIFY,
     RESAMPLE,
     Names,
+    check_antialias,
     check_interpolates,
     check_interpolation,
     check_padding,
@@ -21,7 +22,7 @@ from ._arguments import (
 )
 from ._numpy import Plan as _KeptCoordinates
 from ._numpy import resample as _resample_channels
-from .antialiasing import antialiased
+from .antialiasing import bands, levels, reduce, shrunk
 from .cameras import Camera, FisheyeCamera
 
 
@@ -48,7 +49,7 @@ def rectify(
     """Show a fisheye picture as another view sees it.
 
     Args:
-        image: (H, W) or (H, W, C), uint8 or floating; nearest takes integers as well. Any strides.
+        image: (H, W) or (H, W, C), uint8, uint16 or floating; nearest takes integers as well. Any strides.
         camera: the fisheye camera, of image size (H, W).
         view: the view to make, of image size (h, w).
         rotation: (3, 3) camera_from_view, turning the view, as `view_rotation` gives it; None for none.
@@ -168,7 +169,7 @@ class Plan:
         """Resample one picture.
 
         Args:
-            image: (H, W) or (H, W, C), uint8, float16 or float32; nearest takes integers as well. Any strides.
+            image: (H, W) or (H, W, C), uint8, uint16, float16 or float32; nearest takes integers as well. Any strides.
             interpolation: "bilinear" or "nearest" (labels).
 
         Returns:
@@ -180,7 +181,9 @@ class Plan:
         """
         channels = _as_channels(PLAN, image, interpolation)
         if image.dtype == np.float64:
-            raise ValueError("Plan(): expected image of uint8, float16 or float32, got float64; resample() takes it")
+            raise ValueError(
+                "Plan(): expected image of uint8, uint16, float16 or float32, got float64; resample() takes it"
+            )
         check_size(PLAN, image.shape[:2], self.source)
         out = self._coordinates.resample(channels, interpolation, self._threads)
         return Resampled(out.reshape(*self.target.image_size, *image.shape[2:]), self.valid)
@@ -200,30 +203,32 @@ def resample_named(
     """Resample in the name of another function of the package, and in its words where it raises."""
     check_padding(names.function, padding)
     channels = _as_channels(names, image, interpolation)
-    if antialias and interpolation != "bilinear":
-        raise ValueError(f"{names.function}(): expected interpolation 'bilinear' for antialias, got {interpolation!r}")
+    check_antialias(names.function, antialias, interpolation)
     rotation = check_single(names, source, target, source_from_target)
     check_size(names, image.shape[:2], source)
     _check_threads(names, threads)
 
-    def take(channels: np.ndarray, source: Camera, target: Camera) -> tuple[np.ndarray, np.ndarray]:
-        return _resample_channels(
+    def take(channels: np.ndarray, source: Camera, target: Camera) -> Resampled:
+        out, valid = _resample_channels(
             channels,
             source.model,
-            source.numpy().params,
+            source.params,
             target.model,
-            target.numpy().params,
+            target.params,
             rotation,
             *target.image_size,
             interpolation,
             padding,
             threads or 0,
         )
+        return Resampled(out, valid)
 
+    source, target = source.numpy(), target.numpy()
     if antialias:
-        cameras = (source.numpy(), target.numpy())
-        out = antialiased(channels, *cameras, rotation, lambda *picture_and_cameras: take(*picture_and_cameras)[0])
-        valid = take(channels[..., :1], source, target)[1]
+        valid = take(channels[..., :1], source, target).valid
+        shrink, factor = levels(source, target, rotation)
+        small = shrunk(channels, source, shrink)
+        out = np.concatenate([reduce(take(*small, band).image, factor) for band in bands(target, factor)])
     else:
         out, valid = take(channels, source, target)
     return Resampled(out.reshape(*target.image_size, *image.shape[2:]), valid)
@@ -239,7 +244,8 @@ def _as_channels(names: Names, image: np.ndarray, interpolation: str) -> np.ndar
     if image.dtype.kind not in "biuf" or image.dtype.itemsize > 8 or not image.dtype.isnative:
         raise ValueError(f"{function}(): expected {names.image} of a floating or integer dtype, got {image.dtype}")
     check_interpolation(function, interpolation)
-    check_interpolates(names, image.dtype.kind == "f" or image.dtype == np.uint8, interpolation, image.dtype)
+    interpolates = image.dtype.kind == "f" or image.dtype in (np.uint8, np.uint16)
+    check_interpolates(names, interpolates, interpolation, image.dtype, ", uint8 or uint16")
     if any(stride % image.itemsize for stride in image.strides):  # a field of a record array
         image = image.copy()
     return image if image.ndim == 3 else image[..., None]

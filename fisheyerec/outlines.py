@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from . import pixel
-from .cameras import Camera, FisheyeCamera
+from .cameras import Camera, FisheyeCamera, is_tensor, namespace
 
 # Rims are drawn at this part of their angle, so that rounding leaves no point of them invalid: where theta_d turns, its
 # radius is 1e-12 smaller.
@@ -37,11 +38,36 @@ _ALMOST_ALL = 1 - 1e-9
 _TOUCHING = 1e-9
 
 
-class Transfer:
-    """From one camera into another of the same centre.
+def moved_points(points: Any, source: Camera, target: Camera, source_from_target: Any) -> tuple[Any, Any]:
+    """Give where points lie in the target's frame.
 
     Args:
-        source: the camera in whose picture points and outlines are given; one.
+        points: (..., 2) array, or tensor: differentiable then in all there is.
+        source: the camera in whose picture they are given; one.
+        target: the camera in whose picture they are wanted; one.
+        source_from_target: (3, 3) rotation of the target's rays into the source's frame, of the points' kind, or None.
+
+    Returns:
+        (..., 2), NaN where the target does not show a point, and valid (...).
+    """
+    rays, known = source.unproject(points)
+    xp = namespace(rays)
+    if source_from_target is not None:
+        rays = xp.where(known[..., None], rays, 0)  # or NaN would reach the rotation's gradient
+        rays = rays @ (source_from_target.to(rays) if is_tensor(rays) else source_from_target)
+    positions, valid = target.project(rays)
+    height, width = target.image_size
+    valid = known & valid
+    for positions_along, size in ((positions[..., 0], width), (positions[..., 1], height)):
+        valid = valid & (positions_along >= -pixel.HALF_PIXEL) & (positions_along <= size - pixel.HALF_PIXEL)
+    return xp.where(valid[..., None], positions, math.nan), valid
+
+
+class Transfer:
+    """Outlines, from one camera into another of the same centre.
+
+    Args:
+        source: the camera in whose picture outlines are given; one.
         target: the camera in whose picture they are wanted; one.
         source_from_target: (3, 3) rotation of the target's rays into the source's frame; None for none.
         tolerance_px: how far, in the target, an outline's chords may stray from its curve.
@@ -60,14 +86,6 @@ class Transfer:
         self._source_limit = _theta_rim(self.source) * _WITHIN
         self._is_usable = all(np.isfinite(c.params).all() and c.params[:2].all() for c in (self.source, self.target))
         self._piece = _PIECE * math.hypot(*source.image_size)
-
-    def points(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Give where points (..., 2) lie in the target's frame, and valid (...); what it does not show is NaN."""
-        rays, known = self.source.unproject(points)
-        positions, valid = self.target.project(rays @ self.rotation)
-        low, high = self.frame
-        valid = known & valid & ((positions >= low) & (positions <= high)).all(-1)
-        return np.where(valid[..., None], positions, np.nan), valid
 
     def polygons(self, polygons: Sequence[np.ndarray]) -> tuple[list[np.ndarray], np.ndarray]:
         """Give `polygon` of each: N arrays (K, 2), and the shares (N,)."""

@@ -7,13 +7,15 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d
 
-from . import _ops
+from . import _ops, antialiasing
 from ._arguments import (
     DISTORT,
     RECTIFY,
     RESAMPLE,
     Names,
+    check_antialias,
     check_camera,
     check_interpolates,
     check_interpolation,
@@ -54,6 +56,7 @@ def rectify(
     rotation: Tensor | None = None,
     interpolation: str = "bilinear",
     padding: str = "zeros",
+    antialias: bool = False,
 ) -> Rectification:
     """Show a fisheye picture as another view sees it: the paper's rectification layer (Eqs. 3, 4).
 
@@ -69,6 +72,9 @@ def rectify(
             `view_rotation` gives it from pan, tilt and roll.
         interpolation: "bilinear" or "nearest" (labels).
         padding: what lies outside the picture: "zeros" or "border".
+        antialias: whether to average where the picture shrinks; slower by the square of how much it does, at most 64.
+            How finely is chosen from the numbers of each pair of cameras: a constant to gradients, a break in the graph
+            of `torch.compile`, and nothing that `torch.export` and `vmap` can do.
 
     Returns:
         A Rectification; rays beyond the lens' monotonic range are 0 in its image and False in its mask.
@@ -77,7 +83,7 @@ def rectify(
         TypeError: an argument of another type.
         ValueError: another shape, dtype or name, or an integer image that requires gradients.
     """
-    out, valid = _resample(RECTIFY, image, camera, view, rotation, interpolation, padding)
+    out, valid = resample_named(RECTIFY, image, camera, view, rotation, interpolation, padding, antialias)
     return Rectification(out, valid, camera, view)
 
 
@@ -89,6 +95,7 @@ def distort(
     rotation: Tensor | None = None,
     interpolation: str = "bilinear",
     padding: str = "zeros",
+    antialias: bool = False,
 ) -> Rectification:
     """Show a picture as a fisheye camera would have taken it, the mirror of `rectify`.
 
@@ -99,6 +106,7 @@ def distort(
         rotation: (3, 3) or (B, 3, 3), camera_from_view, as in `rectify`.
         interpolation: "bilinear" or "nearest" (labels).
         padding: what lies outside the picture: "zeros" or "border".
+        antialias: whether to average where the picture shrinks, as in `rectify`.
 
     Returns:
         A Rectification that holds the fisheye picture (B, C, H, W) and its mask.
@@ -107,7 +115,7 @@ def distort(
         TypeError, ValueError: as `rectify`.
     """
     view_from_camera = None if rotation is None else _rotations("distort", rotation).transpose(-1, -2)
-    out, valid = _resample(DISTORT, picture, view, camera, view_from_camera, interpolation, padding)
+    out, valid = resample_named(DISTORT, picture, view, camera, view_from_camera, interpolation, padding, antialias)
     return Rectification(out, valid, camera, view)
 
 
@@ -119,6 +127,7 @@ def resample(
     source_from_target: Tensor | None = None,
     interpolation: str = "bilinear",
     padding: str = "zeros",
+    antialias: bool = False,
 ) -> tuple[Tensor, Tensor]:
     """Resample images from any camera into any other: the one op behind `rectify` and `distort`.
 
@@ -129,6 +138,7 @@ def resample(
         source_from_target: (3, 3) or (B, 3, 3) rotation of the target's rays into the source's frame.
         interpolation: "bilinear" or "nearest".
         padding: "zeros" or "border".
+        antialias: whether to average where the picture shrinks, as in `rectify`.
 
     Returns:
         image (B, C, h, w), and valid (B, 1, h, w) bool.
@@ -136,10 +146,10 @@ def resample(
     Raises:
         TypeError, ValueError: as `rectify`.
     """
-    return _resample(RESAMPLE, image, source, target, source_from_target, interpolation, padding)
+    return resample_named(RESAMPLE, image, source, target, source_from_target, interpolation, padding, antialias)
 
 
-def _resample(
+def resample_named(
     names: Names,
     image: Tensor,
     source: Camera,
@@ -147,12 +157,16 @@ def _resample(
     source_from_target: Tensor | None,
     interpolation: str,
     padding: str,
+    antialias: bool,
 ) -> tuple[Tensor, Tensor]:
+    """Resample in the name of another function of the package, and in its words where it raises."""
     function = names.function
     _check_image(names, image)
     check_interpolation(function, interpolation)
+    check_antialias(function, antialias, interpolation)
     check_padding(function, padding)
-    check_interpolates(names, image.is_floating_point() or image.dtype == torch.uint8, interpolation, image.dtype)
+    interpolates = image.is_floating_point() or image.dtype == torch.uint8
+    check_interpolates(names, interpolates, interpolation, image.dtype, " or uint8")
     check_camera(function, names.source, source)
     check_camera(function, names.target, target)
     check_size(names, tuple(image.shape[-2:]), source)
@@ -164,7 +178,8 @@ def _resample(
         parameters["rotation"] = _rotations(function, source_from_target)
     batch = image.shape[0]
     for name, tensor in parameters.items():
-        if tensor.shape[0] not in (1, batch):
+        # Not `in`, which torch.compile answers wrongly where a batch may be of any size.
+        if tensor.shape[0] != 1 and tensor.shape[0] != batch:
             if batch != 1:
                 shape = ", ".join(["B", *map(str, tensor.shape[1:])])
                 raise ValueError(
@@ -175,17 +190,62 @@ def _resample(
     if batch != image.shape[0]:
         image = image.expand(batch, -1, -1, -1)
     source_params, target_params = list(parameters.values())[:2]
-    return _ops.resample(
-        image,
+    rotations = parameters.get("rotation")
+    out, valid = _ops.resample(
+        image[:, :1].detach() if antialias else image,
         source_params,
         target_params,
-        parameters.get("rotation"),
+        rotations,
         source.model,
         target.model,
         *target.image_size,
         interpolation,
         padding,
     )
+    if antialias:
+        cameras = (type(source)(source_params, source.image_size), type(target)(target_params, target.image_size))
+        out = _averaged(image, *cameras, rotations, padding)
+    return out, valid
+
+
+@torch.compiler.disable
+def _averaged(image: Tensor, source: Camera, target: Camera, rotations: Tensor | None, padding: str) -> Tensor:
+    """Resample with averaging, as antialiasing.py describes it, each picture as if it came alone.
+
+    All parameters are batches of one or of the image's B.
+    """
+    # Levels are looked up on the CPU. In double precision, the places in enlarged pictures are those of the NumPy door.
+    given = [source.params, target.params, *([] if rotations is None else [rotations])]
+    rows = [torch.as_tensor(tensor).cpu().double() for tensor in given]
+    count = max(tensor.shape[0] for tensor in rows)
+    parts = []
+    for i in range(count):
+        params, target_params, *turn = (tensor[i : i + 1] if tensor.shape[0] == count else tensor for tensor in rows)
+        rotation = turn[0] if turn else None
+        one, other = type(source)(params, source.image_size), type(target)(target_params, target.image_size)
+        turned = None if rotation is None else rotation[0].detach().numpy()
+        shrink, factor = antialiasing.levels(_first(one), _first(other), turned)
+        pictures = _reduced(image if count == 1 else image[i : i + 1], shrink)
+        params = torch.as_tensor(antialiasing.shrunk_camera(one, shrink).params)
+        models, bands = (source.model, target.model), []
+        for band in antialiasing.bands(other, factor, max(1, pictures.shape[0])):
+            arguments = (params, torch.as_tensor(band.params), rotation, *models, *band.image_size)
+            bands.append(_reduced(_ops.resample(pictures, *arguments, "bilinear", padding)[0], factor))
+        parts.append(torch.cat(bands, -2))
+    return torch.cat(parts)
+
+
+def _first(camera: Camera) -> Camera:
+    return type(camera)(camera.params[0], camera.image_size)
+
+
+def _reduced(image: Tensor, factor: int) -> Tensor:
+    """Average blocks of pixels, (..., H, W): `antialiasing.reduce` with gradients."""
+    if factor == 1 or image.numel() == 0:
+        return image[..., ::factor, ::factor]
+    if image.dtype == torch.uint8:
+        return torch.floor(_reduced(image.float(), factor) + 0.5).to(torch.uint8)
+    return avg_pool2d(image, factor, ceil_mode=True, count_include_pad=False)
 
 
 def _check_image(names: Names, image: Any) -> None:
@@ -229,6 +289,7 @@ class DistortionRectification(nn.Module):
         camera: the fisheye camera of every picture, or None where each call brings its params.
         interpolation: "bilinear" or "nearest".
         padding: "zeros" or "border".
+        antialias: whether to average where pictures shrink, as in `rectify`.
 
     Raises:
         TypeError: view or camera is not a camera.
@@ -242,6 +303,7 @@ class DistortionRectification(nn.Module):
         camera: FisheyeCamera | None = None,
         interpolation: str = "bilinear",
         padding: str = "zeros",
+        antialias: bool = False,
     ) -> None:
         super().__init__()
         check_camera("DistortionRectification", "view", view)
@@ -251,12 +313,13 @@ class DistortionRectification(nn.Module):
             )
         check_interpolation("DistortionRectification", interpolation)
         check_padding("DistortionRectification", padding)
+        check_antialias("DistortionRectification", antialias, interpolation)
         self.view_type, self.view_size = type(view), view.image_size
         # Not buffers: half() and bfloat16() of the model would round the focal lengths by pixels.
         self.view_params = torch.as_tensor(view.params)
         self.camera_params = None if camera is None else torch.as_tensor(camera.params)
         self.camera_size = None if camera is None else camera.image_size
-        self.interpolation, self.padding = interpolation, padding
+        self.interpolation, self.padding, self.antialias = interpolation, padding, antialias
 
     @property
     def camera(self) -> FisheyeCamera | None:
@@ -291,9 +354,11 @@ class DistortionRectification(nn.Module):
             raise TypeError(
                 "DistortionRectification(): expected params, as the layer has no camera of its own, got None"
             )
-        return _resample(RECTIFY, image, camera, self.view, rotation, self.interpolation, self.padding)[0]
+        options = (self.interpolation, self.padding, self.antialias)
+        return resample_named(RECTIFY, image, camera, self.view, rotation, *options)[0]
 
     def extra_repr(self) -> str:
         """Show the view and the options."""
         own = "" if self.camera is None else f"camera={self.camera!r}, "
-        return f"view={self.view!r}, {own}interpolation={self.interpolation!r}, padding={self.padding!r}"
+        options = f"interpolation={self.interpolation!r}, padding={self.padding!r}, antialias={self.antialias}"
+        return f"view={self.view!r}, {own}{options}"

@@ -5,12 +5,13 @@
 import cv2
 import numpy as np
 import pytest
+import torch
 from skimage.draw import polygon2mask
 from skimage.measure import points_in_poly
 
 import fisheyerec as fr
 import fisheyerec.numpy as door
-from fisheyerec.outlines import Transfer
+from fisheyerec.outlines import Transfer, moved_points
 
 SIZE, VIEW_SIZE = (60, 80), (45, 64)
 CAMERA = fr.FisheyeCamera([26.0, 27, 39.3, 29.1, 0.05, -0.01, 0, 0], SIZE)
@@ -133,9 +134,8 @@ def test_boxes_enclose_what_is_seen_of_them_and_no_more(lens, turn):
     view = view_of(lens)
     boxes = random_boxes(np.random.default_rng(1), lens.image_size, 12)
     moved = fr.rectify_sample(fr.Sample(boxes=boxes), lens, view, rotation=turn)
-    transfer = Transfer(lens, view, turn, 0.1)
     for box, found, visible in zip(boxes, moved.boxes, moved.boxes_visible, strict=True):
-        points, valid = transfer.points(grid(box))
+        points, valid = moved_points(grid(box), lens, view, turn)
         # A grid misses what its steps hide, at borders and in tips.
         assert visible == pytest.approx(valid.mean(), abs=0.015)
         if valid.any():
@@ -249,7 +249,7 @@ def test_a_lens_that_looks_backwards_shows_what_lies_around_the_point_behind():
     turned = fr.view_rotation(pan_deg=180)
     box = [200.0, 210, 290, 300]
     moved = fr.rectify_sample(fr.Sample(boxes=[box], polygons=[corners_of(box)]), OVER_180, target, rotation=turned)
-    _, valid = Transfer(OVER_180, target, turned, 0.1).points(grid(box, 400))
+    _, valid = moved_points(grid(box, 400), OVER_180, target, turned)
     assert moved.boxes_visible[0] == pytest.approx(valid.mean(), abs=0.005)
     rays, _ = target.unproject(np.stack(np.meshgrid(np.arange(400), np.arange(400)), -1).astype(float))
     points, _ = OVER_180.project(rays @ turned.T)
@@ -395,9 +395,9 @@ def test_depth_in_whole_millimetres_stays_so():
 # What is bad in a sample, or in an option -> exception and what it says.
 BAD = {
     "no_sample": ({"sample": np.zeros(SIZE)}, TypeError, "sample as a Sample, got ndarray"),
-    "list_for_image": ({"image": [[1]]}, TypeError, "sample.image as a NumPy array, got list"),
+    "list_for_image": ({"image": [[1]]}, TypeError, "sample.image as a NumPy array or a tensor, got list"),
     "image_of_another_size": ({"image": np.zeros((60, 79))}, ValueError, r"sample.image of the size of camera, \(60, 80\)"),
-    "integer_image": ({"image": np.zeros(SIZE, np.int32)}, ValueError, "sample.image of a floating dtype or uint8 .* got int32"),
+    "integer_image": ({"image": np.zeros(SIZE, np.int32)}, ValueError, "sample.image of a floating dtype, uint8 or uint16 .* got int32"),
     "labels_of_another_size": ({"labels": np.zeros((6, 80), int)}, ValueError, r"sample.labels of the size of camera"),
     "floating_labels": ({"labels": np.zeros(SIZE)}, ValueError, "sample.labels of an integer dtype, got float64"),
     "integer_mask": ({"mask": np.zeros(SIZE, int)}, ValueError, "sample.mask of dtype bool, got int64"),
@@ -456,3 +456,104 @@ print("torch" in sys.modules)
 """
     done = run_python(code)
     assert (done.stdout, done.stderr) == ("False\n", "")
+
+
+# --- Tensors --------------------------------------------------------------------------------------
+
+
+def as_tensors(sample):
+    """The same sample in tensors, its pictures' channels first."""
+
+    def tensor(name, value):
+        if name == "polygons":
+            return [torch.from_numpy(polygon) for polygon in value]
+        channels_last = name in ("image", "labels", "mask") and value.ndim == 3
+        return torch.from_numpy(np.moveaxis(value, -1, 0).copy() if channels_last else value)
+
+    given = {name: value for name, value in vars(sample).items() if value is not None and name != "depth_kind"}
+    return fr.Sample(depth_kind=sample.depth_kind, **{name: tensor(name, value) for name, value in given.items()})
+
+
+@pytest.mark.parametrize("turn", [None, TURN], ids=["straight", "turned"])
+@pytest.mark.parametrize("kind", ["z", "distance"])
+@pytest.mark.parametrize("direction", ["rectify", "distort"])
+def test_tensors_move_as_arrays_do(direction, kind, turn):
+    rng = np.random.default_rng(0)
+    cameras, size = ((CAMERA, VIEW), SIZE) if direction == "rectify" else ((VIEW, CAMERA), VIEW_SIZE)
+    sample = fr.Sample(
+        image=rng.random((*size, 3)),
+        labels=rng.integers(0, 900, size),
+        mask=rng.random((*size, 4)) < 0.5,
+        depth=rng.integers(0, 5000, size).astype(np.int32) if turn is None else rng.uniform(1, 9, size),
+        depth_kind=kind,
+        points=rng.random((5, 7, 2)) * size[::-1],
+        boxes=random_boxes(rng, size, 8),
+        polygons=[star(rng, box) for box in random_boxes(rng, size, 5)],
+        valid=rng.random(size) < 0.9,
+    )
+    move = getattr(fr, f"{direction}_sample")
+    expected = as_tensors(move(sample, *cameras, rotation=turn, antialias=True))
+    for rotation in [turn] if turn is None else [turn, torch.from_numpy(turn)]:
+        moved = move(as_tensors(sample), *cameras, rotation=rotation, antialias=True)
+        for name, value in vars(expected).items():
+            found = getattr(moved, name)
+            if name == "depth_kind":
+                assert found == value
+            elif name == "polygons":
+                assert all(torch.equal(a, b) for a, b in zip(found, value, strict=True))
+            else:
+                assert (found.dtype, found.shape) == (value.dtype, value.shape), name
+                torch.testing.assert_close(found, value, equal_nan=True, rtol=1e-9, atol=1e-9)
+
+
+def test_tensors_and_arrays_may_stand_together():
+    sample = fr.Sample(image=torch.rand(3, *SIZE), labels=np.zeros(SIZE, int), boxes=torch.tensor([[5, 5, 20, 20]]),
+                       points=[[30.0, 20]])  # fmt: skip
+    moved = fr.rectify_sample(sample, CAMERA, VIEW)
+    assert (moved.image.dtype, moved.image.shape) == (torch.float32, (3, *VIEW_SIZE))
+    assert isinstance(moved.labels, np.ndarray)
+    assert isinstance(moved.points, np.ndarray)
+    assert (moved.boxes.dtype, moved.boxes_visible.dtype) == (torch.float32, torch.float32)
+
+
+@pytest.mark.parametrize("direction", ["rectify", "distort"])
+def test_gradients_of_a_sample_reach_all_there_is(direction):
+    """Points in view, out of view and beyond the lens' turn; depth through the turn of its axis."""
+    names, size = (("lens", "view"), (6, 8)) if direction == "rectify" else (("view", "lens"), (5, 7))
+    folding = torch.tensor([3.0, 3.1, 3.6, 2.4, -0.2, 0, 0, 0], dtype=torch.float64, requires_grad=True)
+    view = torch.tensor([3.5, 3.5, 3.2, 2.1], dtype=torch.float64, requires_grad=True)
+    turn = torch.tensor(TURN, requires_grad=True)
+    generator = torch.Generator().manual_seed(0)
+    image, depth = (torch.rand(*shape, *size, generator=generator, dtype=torch.float64, requires_grad=True)
+                    for shape in ((1,), ()))  # fmt: skip
+    points = torch.rand(12, 2, generator=generator, dtype=torch.float64) * torch.tensor([12.0, 9]) - 2
+    points.requires_grad_()
+
+    def move(lens, view, turn, image, depth, points):
+        cameras = {"lens": fr.FisheyeCamera(lens, (6, 8)), "view": fr.PinholeCamera(view, (5, 7))}
+        sample = fr.Sample(image=image, depth=depth, points=points)
+        moved = getattr(fr, f"{direction}_sample")(sample, *(cameras[name] for name in names), rotation=turn)
+        assert 0 < moved.points_valid.sum() < 12
+        return moved.image, moved.depth, moved.points[moved.points_valid]
+
+    assert torch.autograd.gradcheck(move, (folding, view, turn, image, depth, points), fast_mode=True)
+
+
+BAD_TENSORS = {
+    "batch": ({"image": torch.zeros(2, 3, *SIZE)}, ValueError, r"sample.image of shape \(H, W\) or \(C, H, W\), got \(2, 3, 60, 80\)"),
+    "image_of_another_size": ({"image": torch.zeros(3, 60, 79)}, ValueError, r"sample.image of the size of camera, \(60, 80\)"),
+    "channels_last": ({"image": torch.zeros(60, 80, 3)}, ValueError, r"sample.image of the size of camera"),
+    "floating_labels": ({"labels": torch.zeros(SIZE)}, ValueError, "sample.labels of an integer dtype, got torch.float32"),
+    "integer_mask": ({"mask": torch.zeros(SIZE, dtype=torch.int64)}, ValueError, "sample.mask of dtype bool, got torch.int64"),
+    "complex_depth": ({"depth": torch.zeros(SIZE, dtype=torch.complex64)}, ValueError, "sample.depth of a floating or integer dtype"),
+    "points_of_3": ({"points": torch.zeros(5, 3)}, ValueError, r"sample.points of shape \(..., 2\), got \(5, 3\)"),
+    "boxes_flat": ({"boxes": torch.zeros(4)}, ValueError, r"sample.boxes of shape \(N, 4\), got \(4,\)"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("bad", "exception", "message"), BAD_TENSORS.values(), ids=BAD_TENSORS)
+def test_bad_tensors_are_told_in_one_line(bad, exception, message):
+    with pytest.raises(exception, match=message) as raised:
+        fr.rectify_sample(fr.Sample(**bad), CAMERA, VIEW)
+    assert str(raised.value).startswith("rectify_sample(): expected ")
+    assert "\n" not in str(raised.value)

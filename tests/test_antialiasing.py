@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 import fisheyerec as fr
 import fisheyerec.numpy as door
@@ -125,3 +126,101 @@ def test_a_lens_that_sees_nothing_gives_zeros():
     out, valid = door.rectify(np.ones((37, 52)), camera, VIEW, antialias=True)
     assert not valid.any()
     assert (out == 0).all()
+
+
+# --- Tensors --------------------------------------------------------------------------------------
+
+
+def as_tensor(picture):
+    """(H, W, C) to (1, C, H, W)."""
+    return torch.from_numpy(np.moveaxis(picture, -1, 0).copy())[None]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float16, np.float32, np.float64])
+@pytest.mark.parametrize(("function", "source", "target", "least"), CASES.values(), ids=CASES)
+def test_tensors_are_averaged_as_arrays_are(function, source, target, least, dtype):
+    plate = zone_plate(source.image_size)
+    picture = np.stack([plate, plate[::-1], plate.mean() + 0 * plate], -1)
+    picture = np.rint(255 * picture).astype(dtype) if dtype == np.uint8 else picture.astype(dtype)
+    expected = getattr(door, function)(picture, source, target, antialias=True)
+    found = getattr(fr, function)(as_tensor(picture), source, target, antialias=True)
+    assert found.image.dtype == as_tensor(picture).dtype
+    np.testing.assert_array_equal(found.valid[0, 0].numpy(), expected.valid)
+    # To the rounding of their sums; of bytes and halves, whose samples are rounded alike, to the bit.
+    exact = {np.float32: 1e-6, np.float64: 1e-14}.get(dtype, 0)
+    np.testing.assert_allclose(found.image.numpy(), as_tensor(expected.image).numpy(), rtol=0, atol=exact)
+
+
+def test_a_view_four_times_as_coarse_comes_near_to_256_samples_a_pixel():
+    """Error without averaging, in grey levels, several times that with it."""
+    plate, view = zone_plate(CAMERA.image_size), VIEW.resize((90, 120))
+    expected = truth("rectify", plate, CAMERA, view)
+    image = torch.from_numpy(plate)[None, None]
+    plain, averaged = (fr.rectify(image, CAMERA, view, antialias=a) for a in (False, True))
+    where = inner(plain.valid[0, 0].numpy())
+    without, rest = (255 * np.abs(r.image[0, 0].numpy() - expected)[where].mean() for r in (plain, averaged))
+    assert rest < 2
+    assert without > 8 * rest
+
+
+def test_each_picture_of_a_batch_is_averaged_as_if_it_came_alone():
+    """By its own camera, one of which shrinks less than the others, and turned on its own."""
+    image = torch.rand(3, 2, *CAMERA.image_size, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    scales = torch.tensor([1, 0.2, 1.3], dtype=torch.float64)
+    params = torch.as_tensor(CAMERA.params).repeat(3, 1)
+    params[:, :2] *= scales[:, None]
+    rotation = torch.stack([torch.from_numpy(fr.view_rotation(pan_deg=pan)) for pan in (0, 10, -20)])
+    view = VIEW.resize((36, 48))
+    cameras = [fr.FisheyeCamera(row, CAMERA.image_size) for row in params]
+    assert len({antialiasing.levels(camera, view, None) for camera in cameras}) > 1
+    together = fr.rectify(image, fr.FisheyeCamera(params, CAMERA.image_size), view, rotation=rotation, antialias=True)
+    for i, camera in enumerate(cameras):
+        alone = fr.rectify(image[i : i + 1], camera, view, rotation=rotation[i], antialias=True)
+        torch.testing.assert_close(together.image[i : i + 1], alone.image, rtol=0, atol=0)
+        assert torch.equal(together.valid[i : i + 1], alone.valid)
+
+
+def test_one_camera_averages_a_batch_and_one_picture_meets_many_cameras(monkeypatch):
+    image = torch.rand(2, 3, *CAMERA.image_size, generator=torch.Generator().manual_seed(0))
+    view = VIEW.resize((36, 48))
+    batch = fr.rectify(image, CAMERA, view, antialias=True).image
+    monkeypatch.setattr(antialiasing, "_BAND", 64 * 48 * 5)
+    alone = [fr.rectify(picture[None], CAMERA, view, antialias=True).image for picture in image]
+    torch.testing.assert_close(torch.cat(alone), batch)
+    cameras = fr.FisheyeCamera(np.tile(CAMERA.params, (2, 1)), CAMERA.image_size)
+    many = fr.rectify(image[:1], cameras, view, antialias=True).image
+    torch.testing.assert_close(many, batch[:1].expand(2, -1, -1, -1))
+    for empty in (image[:0], image[:, :0]):
+        assert fr.rectify(empty, CAMERA, view, antialias=True).image.shape == (*empty.shape[:2], 36, 48)
+
+
+@pytest.mark.parametrize("size", [(5, 6), (1, 2)], ids=["target_enlarged", "source_averaged_too"])
+def test_gradients_flow_through_averages(size):
+    lens = torch.tensor([[8.0, 8.1, 15.2, 11.7, 0.05, -0.01, 0, 0], [11, 10, 15, 12, 0, 0, 0, 0]], dtype=torch.float64)
+    view = torch.as_tensor(fr.PinholeCamera.from_fov(90, (5, 6)).resize(size).params)[None]
+    turn = torch.from_numpy(fr.view_rotation(5, 3, 2))
+    image = torch.rand(2, 1, 24, 32, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    tensors = [tensor.clone().requires_grad_() for tensor in (image, lens, view, turn)]
+
+    def rectified(image, lens, view, turn):
+        layer = fr.DistortionRectification(fr.PinholeCamera(view, size), antialias=True)
+        return layer(image, lens, turn)
+
+    assert torch.autograd.gradcheck(rectified, tensors, fast_mode=True)
+
+
+def test_layers_average_and_say_so():
+    layer = fr.DistortionRectification(VIEW.resize((36, 48)), camera=CAMERA, antialias=True)
+    image = as_tensor(zone_plate(CAMERA.image_size)[..., None])
+    expected = fr.rectify(image, CAMERA, VIEW.resize((36, 48)), antialias=True).image
+    torch.testing.assert_close(layer(image), expected, rtol=0, atol=0)
+    assert "antialias=True" in repr(layer)
+    torch.testing.assert_close(torch.compile(layer, backend="eager")(image), expected, rtol=0, atol=0)
+
+
+def test_tensors_of_labels_are_never_averaged():
+    labels, options = torch.zeros(1, 1, *CAMERA.image_size, dtype=torch.uint8), {"interpolation": "nearest"}
+    with pytest.raises(ValueError, match=r"^rectify\(\): expected interpolation 'bilinear' for antialias"):
+        fr.rectify(labels, CAMERA, VIEW, antialias=True, **options)
+    with pytest.raises(ValueError, match=r"^DistortionRectification\(\): expected interpolation 'bilinear'"):
+        fr.DistortionRectification(VIEW, antialias=True, **options)

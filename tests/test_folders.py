@@ -46,7 +46,7 @@ def planned(*inputs, output="out", picture_suffix=None):
 
 
 def targets(found: Plan):
-    return {str(source): target.as_posix() for source, target in found.tasks}
+    return {str(task.source): task.target.as_posix() for task in found.tasks}
 
 
 # --- What goes where ------------------------------------------------------------------------------
@@ -226,8 +226,8 @@ def test_leftovers_of_the_same_targets_are_removed(here):
 def test_whatever_a_file_raises_the_rest_is_done():
     camera = fr.FisheyeCamera.from_projection("equidistant", 120, SIZE)
 
-    def rectifier(source, target, *, on_frame):
-        if source.name == "2":
+    def rectifier(task, *, on_frame):
+        if task.source.name == "2":
             raise ZeroDivisionError("bad\nfile")
         return FileReport(camera, camera, "")
 
@@ -241,14 +241,14 @@ def test_whatever_a_file_raises_the_rest_is_done():
 def test_a_run_that_is_given_up_breaks_off_videos_and_begins_nothing_new():
     begun = []
 
-    def rectifier(source, target, *, on_frame):
-        begun.append(source)
+    def rectifier(task, *, on_frame):
+        begun.append(task.source)
         while True:
             on_frame(1, None)
             time.sleep(0.001)
 
-    def ended(source, target, *, on_frame):
-        return FileReport(None, None, "") if source.name == "0" else rectifier(source, target, on_frame=on_frame)
+    def ended(task, *, on_frame):
+        return FileReport(None, None, "") if task.source.name == "0" else rectifier(task, on_frame=on_frame)
 
     outcomes = bulk.run([Task(Path(str(n)), Path(f"out/{n}")) for n in range(20)], ended, jobs=2)
     assert next(outcomes).task.source.name == "0"
@@ -422,6 +422,6 @@ def test_rectifiers_can_be_sent_to_other_processes(here):
     camera = fr.FisheyeCamera.from_projection("equidistant", 120, SIZE)
     rectifier = CalibratedRectifier(camera, fr.PinholeCamera.edge_matched(camera, SIZE))
     write_picture("a.png", Picture(np.zeros(SIZE, np.uint8)))
-    pickle.loads(pickle.dumps(rectifier))(Path("a.png"), Path("b.png"), on_frame=lambda done, total: None)
+    pickle.loads(pickle.dumps(rectifier))(Task(Path("a.png"), Path("b.png")), on_frame=lambda done, total: None)
     assert read_picture("b.png").pixels.shape == SIZE
     json.dumps(rectifier.settings())

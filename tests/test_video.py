@@ -18,6 +18,7 @@ import torch
 import fisheyerec as fr
 from fisheyerec import file_rectifiers, views
 from fisheyerec.file_rectifiers import BlindRectifier, CalibratedRectifier, ViewOptions
+from fisheyerec.folders import Task
 from fisheyerec.lens_chart import camera_from_chart, chart_of
 from fisheyerec.pictures import Picture, read_picture, write_picture
 from fisheyerec.pooling import pool, robust_mean
@@ -404,7 +405,7 @@ def test_pictures_and_clips_of_one_folder(clip, lens, tmp_path):
 
 
 def told(camera, confidence=0.5, distorted=True, sigma=0.01):
-    return PhotoEstimate(camera, confidence, distorted, 1.0, 0.1, True, sigma**2 * np.eye(8))
+    return PhotoEstimate(camera, confidence, distorted, 1.0, 0.1, True, sigma**2 * np.eye(8), None)
 
 
 def shifted(amount):
@@ -469,7 +470,7 @@ def network(monkeypatch):
 
 def test_a_clip_of_an_unknown_camera(clip, network, tmp_path):
     rectifier = BlindRectifier(ViewOptions(fov_deg=90), quality=90)
-    report = rectifier(clip, tmp_path / "out.mp4", on_frame=lambda done, total: None)
+    report = rectifier(Task(clip, tmp_path / "out.mp4"), on_frame=lambda done, total: None)
     assert len(network.frames) == video.SAMPLED_FRAMES
     assert all(psnr(frame, turned(0)) < 60 for frame in network.frames[1:])  # they differ
     view = fr.PinholeCamera.from_fov(90, SIZE)
@@ -481,7 +482,9 @@ def test_a_clip_of_an_unknown_camera(clip, network, tmp_path):
 def test_a_clip_without_distortion_is_taken_over_as_it_is(clip, network, tmp_path):
     network.distorted = False
     turn_on_its_side(clip, tmp_path / "in.mp4", 2)
-    report = BlindRectifier(ViewOptions())(tmp_path / "in.mp4", tmp_path / "out.mp4", on_frame=lambda done, total: None)
+    report = BlindRectifier(ViewOptions())(
+        Task(tmp_path / "in.mp4", tmp_path / "out.mp4"), on_frame=lambda done, total: None
+    )
     assert report.summary.startswith("as it was")
     for kind in ("video", "audio"):
         before, after = packets_of(clip, kind), packets_of(tmp_path / "out.mp4", kind)

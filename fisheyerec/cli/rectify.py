@@ -5,18 +5,22 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .along import Annotations, FromTo, along, annotations_of, with_companions
 from .estimating import REFINE_HELP, SAVE_CAMERA_HELP, WEIGHTS_HELP, check_save_camera
 from .messages import fail, say
 from .progress import file_progress
 from .sizes import parse_size
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from ..cameras import Camera, FisheyeCamera
     from ..file_rectifiers import BlindRectifier, CalibratedRectifier, FileRectifier, ViewOptions
     from ..folders import Plan, Task
     from ..manifest import Manifest
@@ -59,6 +63,21 @@ def rectify(
     roll: Annotated[float, typer.Option(help="Turn the view clockwise, in degrees.")] = 0,
     size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT of the result; the picture's own if left out.")] = None,
     interpolation: Annotated[str, typer.Option(help="bilinear, or nearest for label maps.")] = "bilinear",
+    antialias: Annotated[
+        bool,
+        typer.Option("--antialias", help="Average where a picture shrinks, so that fine texture does not flicker."),
+    ] = False,
+    labels: Annotated[FromTo, along("Label maps (PNG, TIFF, BMP, NPY): numbers are never mixed.")] = None,
+    mask: Annotated[FromTo, along("Masks: whatever is not 0 is inside. Written as 0 and 255.")] = None,
+    depth: Annotated[FromTo, along("Depth along the camera's axis, in any unit; 0 is unknown.")] = None,
+    distance: Annotated[FromTo, along("Depth along each pixel's ray, likewise.")] = None,
+    points: Annotated[
+        FromTo,
+        along("CSV whose header names x and y, whole at pixel centres; other columns are kept, 'valid' is added."),
+    ] = None,
+    annotations: Annotated[
+        FromTo, along("COCO files: boxes, polygons, masks and keypoints of all pictures, found by file_name.")
+    ] = None,
     refine: Annotated[bool, typer.Option(help=REFINE_HELP)] = True,
     save_camera: Annotated[Path | None, typer.Option(help=SAVE_CAMERA_HELP)] = None,
     weights: Annotated[Path | None, typer.Option(help=WEIGHTS_HELP)] = None,
@@ -81,10 +100,12 @@ def rectify(
     Without --camera, what has no fisheye distortion is written as it is.
     Without --view, --fov-deg, --focal or --balance the view is edge-matched: the nearest edge of the fisheye picture
     stays at the edge of the result, so nothing in it is empty.
+    Whatever moves along takes the camera and the view of its picture. FROM and TO are files for one picture, and for
+    several folders of the same relative paths, with other suffixes; of --annotations, one file for all.
     A folder is searched to the bottom and made again below the output, with a record of what was done and with which
     camera, manifest.jsonl. A file that fails does not stop the rest: the exit status is 1 then.
     """
-    from .._arguments import check_interpolation
+    from .._arguments import check_antialias, check_interpolation
     from ..file_rectifiers import SUFFIXES, ViewOptions
     from ..folders import plan
     from ..manifest import Manifest
@@ -93,18 +114,22 @@ def rectify(
         if (view, fov_deg, focal, balance).count(None) < 3:
             raise ValueError("expected one of --view, --fov-deg, --focal and --balance, got several")
         check_interpolation("rectify", interpolation)
+        check_antialias("rectify", antialias, interpolation)
         mode = view.replace("-", "_") if view is not None else None
         options = ViewOptions(mode, fov_deg, focal, balance, projection, parse_size(size), pan, tilt, roll)
         planned = plan(inputs, output, suffixes=SUFFIXES, target_suffix=_target_suffix(format))
+        companions = {"labels": labels, "mask": mask, "depth": depth, "distance": distance, "points": points}
+        planned = with_companions(planned, companions)
+        coco = annotations_of(planned, annotations)
         check_save_camera([task.source for task in planned.tasks], save_camera)
         todo, manifest = planned.tasks, None
         count = jobs or min(os.cpu_count() or 1, len(todo))
         if camera is None:
-            rectifier: FileRectifier = _blind(options, interpolation, quality, weights, refine)
+            rectifier: FileRectifier = _blind(options, interpolation, antialias, quality, weights, refine)
         else:
             if save_camera is not None or weights is not None:
                 raise ValueError("expected --camera, or --save-camera and --weights to estimate one, got both")
-            rectifier = _calibrated(camera, options, interpolation, quality, count)
+            rectifier = _calibrated(camera, options, interpolation, antialias, quality, count)
         if planned.folder is not None:
             manifest = Manifest(planned.folder)
         elif resume or format is not None:
@@ -112,17 +137,25 @@ def rectify(
         if resume and manifest is not None:
             settings = rectifier.settings()
             todo = [task for task in todo if not manifest.is_done(task, settings)]
-        _check_files(todo, may_replace=overwrite or resume)
+        if antialias or coco is not None or planned.tasks[0].companions:
+            _refuse_videos(planned.tasks)
+        files = [file for task in todo for file in task.files]
+        if coco is not None:
+            files.append((coco.source.path, coco.target))
+        targets = [target for _, target in files]
+        _check_files(todo, targets, may_replace=overwrite or resume)
         if dry_run:
-            for task in todo:
-                typer.echo(f"{task.source} -> {task.target}")
+            for source, target in files:
+                typer.echo(f"{source} -> {target}")
             return
+        beside = {target.parent for target in targets} - {task.target.parent for task in todo}
         if planned.folder is not None:
-            for folder in [planned.folder, *sorted({task.target.parent for task in todo})]:
-                folder.mkdir(parents=True, exist_ok=True)
+            beside |= {planned.folder, *(task.target.parent for task in todo)}
+        for folder in sorted(beside):
+            folder.mkdir(parents=True, exist_ok=True)
     except (ValueError, OSError, ImportError) as error:
         raise fail("rectify", error) from error
-    _run(planned, todo, rectifier, manifest, count, save_camera)
+    _run(planned, todo, rectifier, manifest, count, save_camera, coco, options.rotation())
 
 
 def _run(
@@ -132,14 +165,19 @@ def _run(
     manifest: Manifest | None,
     jobs: int,
     save_camera: Path | None,
+    annotations: Annotations | None,
+    rotation: np.ndarray | None,
 ) -> None:
     """Rectify, say and write down what became of each file."""
     from ..bulk import run
     from ..replacement import remove_leftovers
 
     settings, failures, made = rectifier.settings(), 0, 0
+    cameras: dict[Task, tuple[FisheyeCamera, Camera | None]] = {}
+    complaints: Sequence[str] = []
+    targets = [target for task in todo for _, target in task.files]
     try:
-        remove_leftovers(task.target for task in todo)
+        remove_leftovers(targets if annotations is None else [*targets, annotations.target])
         with (
             file_progress(len(todo)) as progress,
             contextlib.closing(run(todo, rectifier, jobs=jobs, on_frame=progress.on_frame)) as outcomes,
@@ -151,12 +189,17 @@ def _run(
                     manifest.add(task, settings, seconds=seconds, camera=camera, view=view, error=error)
                 if report is not None:
                     made += 1
+                    cameras[task] = report.camera, report.view
                     progress.echo(f"{task.target}: {report.summary}, {seconds * 1e3:.1f} ms")
                     if save_camera is not None:
                         report.camera.save(save_camera)
                 if error is not None:
                     failures += 1
                     progress.complain(f"fisheyerec rectify: {error}")
+        if annotations is not None:
+            if manifest is not None:
+                cameras |= {task: manifest.cameras(task) for task in set(planned.tasks) - set(todo)}
+            complaints = annotations.write(planned, cameras, rotation) if cameras else []
     except OSError as error:
         raise fail("rectify", error) from error
     except KeyboardInterrupt:
@@ -167,7 +210,9 @@ def _run(
         typer.echo(f"{planned.folder}: {skipped} of {len(planned.tasks)} files were done before")
     if failures and len(planned.tasks) > 1:
         say("rectify", f"{failures} of {len(todo)} files failed")
-    if failures:
+    for complaint in complaints:
+        say("rectify", complaint)
+    if failures or complaints:
         raise typer.Exit(1 if made or len(planned.tasks) > 1 else 2)
 
 
@@ -185,27 +230,41 @@ def _target_suffix(format: str | None) -> Callable[[str], str]:
 
 
 def _calibrated(
-    camera: Path, options: ViewOptions, interpolation: str, quality: int | None, jobs: int
+    camera: Path, options: ViewOptions, interpolation: str, antialias: bool, quality: int | None, jobs: int
 ) -> CalibratedRectifier:
     from ..cameras import FisheyeCamera
     from ..file_rectifiers import CalibratedRectifier
 
     fisheye = FisheyeCamera.load(camera)
     threads = max(1, (os.cpu_count() or 1) // jobs)
-    return CalibratedRectifier(fisheye, options.view_of(fisheye), options.rotation(), interpolation, quality, threads)
+    view, rotation = options.view_of(fisheye), options.rotation()
+    return CalibratedRectifier(fisheye, view, rotation, interpolation, quality, threads, antialias)
 
 
 def _blind(
-    options: ViewOptions, interpolation: str, quality: int | None, weights: Path | None, refine: bool
+    options: ViewOptions,
+    interpolation: str,
+    antialias: bool,
+    quality: int | None,
+    weights: Path | None,
+    refine: bool,
 ) -> BlindRectifier:
     from ..file_rectifiers import BlindRectifier
 
-    rectifier = BlindRectifier(options, interpolation, quality, weights, refine)
+    rectifier = BlindRectifier(options, interpolation, quality, weights, refine, antialias)
     rectifier.rectifier()  # broken weights are told before anything is done
     return rectifier
 
 
-def _check_files(tasks: list[Task], *, may_replace: bool) -> None:
+def _refuse_videos(tasks: list[Task]) -> None:
+    from ..file_rectifiers import is_video
+
+    for task in tasks:
+        if is_video(task.source):
+            raise ValueError(f"expected pictures with --antialias and with what moves along, got {task.source}")
+
+
+def _check_files(tasks: list[Task], targets: list[Path], *, may_replace: bool) -> None:
     """Refuse what would fail at the end only: a picture's suffix, files that are there, PyAV that is not."""
     from ..file_rectifiers import is_video
     from ..pictures import picture_format_of
@@ -215,7 +274,7 @@ def _check_files(tasks: list[Task], *, may_replace: bool) -> None:
             picture_format_of(task.target)
     if any(is_video(task.source) for task in tasks):
         from .. import video  # noqa: F401  says what to install
-    there = [] if may_replace else [task.target for task in tasks if task.target.exists()]
+    there = [] if may_replace else [target for target in targets if target.exists()]
     if there:
         others = f" and {len(there) - 1} others" if len(there) > 1 else ""
         raise ValueError(f"expected a new file, or --overwrite, got {there[0]}{others}")

@@ -65,7 +65,7 @@ def preview_of(pixels: np.ndarray) -> np.ndarray:
     """Give a picture as it is shown: (h, w, 3) uint8, no side longer than PREVIEW_SIDE.
 
     Args:
-        pixels: (H, W), (H, W, 3) or (H, W, 4), uint8, or float32 holding 16 bits.
+        pixels: (H, W), (H, W, 3) or (H, W, 4), uint8 or uint16.
     """
     colour = pixels[..., :3] if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1)
     height, width = colour.shape[:2]

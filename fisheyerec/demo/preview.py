@@ -11,7 +11,7 @@ from .. import numpy as door
 from .. import pixel
 from ..cameras import FisheyeCamera
 from ..file_rectifiers import ViewOptions
-from ..outlines import Transfer
+from ..outlines import moved_points
 from ..straightness import bends_of, straightness_of
 from .marks import draw_lines, hatch
 from .photo import Photo
@@ -61,7 +61,7 @@ def make_preview(
         points = _scaled(pieces.points, scale)
         bent, used = bends_of(pieces, None, photo.working_size)
         before = draw_lines(before, points, pieces.starts, np.where(used, bent, np.nan))
-        moved, _ = Transfer(small, view, rotation, tolerance_px=1).points(points)
+        moved, _ = moved_points(points, small, view, rotation)
         straightened, used = bends_of(pieces, camera, photo.working_size)
         after = draw_lines(after, moved, pieces.starts, np.where(used, straightened, np.nan))
     return Preview(
