@@ -265,10 +265,17 @@ class FisheyeCamera(Camera):
 
     @property
     def theta_max(self) -> Any:
-        """The first extremum of theta_d in (0, pi], or pi: rays further off the axis are invalid; () or (B,)."""
+        """The first extremum of theta_d in (0, pi], or pi: rays further off the axis are invalid; () or (B,).
+
+        A tensor where the parameters are one.
+        """
+        params = self.params
+        if not isinstance(params, np.ndarray):
+            from . import reference
+
+            return reference.theta_max(params)
         from . import _numpy
 
-        params = self.numpy().params
         limits = np.array([_numpy.theta_max(k) for k in np.atleast_2d(params)[:, 4:]])
         return limits.reshape(params.shape[:-1])[()]
 
@@ -517,8 +524,7 @@ class PinholeCamera(Camera):
         rays, valid = camera.unproject(points)
         widest = EDGE_MATCHED_THETA_MAX * xp.ones_like(params[..., :1])
         # Where an edge lies beyond the lens, its angle is unknown but no smaller than theta_max.
-        beyond = np.minimum(camera.theta_max, EDGE_MATCHED_THETA_MAX)
-        beyond = xp.asarray(beyond).to(params) if is_tensor(params) else beyond
+        beyond = camera.theta_max.clip(max=EDGE_MATCHED_THETA_MAX)
         rays = xp.where(valid[..., None], rays, xp.ones_like(rays))
         theta = xp.atan2(xp.hypot(rays[..., 0], rays[..., 1]), rays[..., 2])
         theta = xp.where(valid, theta, beyond[..., None])

@@ -224,7 +224,8 @@ class BlindRectifier:
             return FileReport(found.camera, None, f"as it was, {describe(found)}")
         height, width = found.camera.image_size
         options = replace(self.options, size=self.options.size or (height - height % 2, width - width % 2))
-        view, rotation = options.view_of(found.camera), options.rotation()
+        view = options.view_of(found.camera_to_view(options.mode, options.balance))
+        rotation = options.rotation()
         result = video.rectify_video(
             source, target, found.camera, view, rotation=rotation, quality=self.quality, on_frame=on_frame
         )

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from .cameras import FisheyeCamera
+from .image_circle import ImageCircle
 from .lens_chart import camera_from_chart, chart_of
 from .rectifier import PhotoEstimate
 
@@ -36,17 +37,24 @@ def pool(estimates: Sequence[PhotoEstimate]) -> PhotoEstimate:
         raise ValueError(f"pool(): expected estimates of pictures of one size, got sizes {sorted(sizes)}")
     votes = sum(estimate.confidence if estimate.distorted else -estimate.confidence for estimate in estimates)
     winners = [estimate for estimate in estimates if estimate.distorted == (votes >= 0)]
-    charts = np.array([chart_of(estimate.camera) for estimate in winners])
+    # A chart is of the part of the picture that the lens is judged by.
+    circles = [estimate.image_circle for estimate in winners if estimate.image_circle is not None]
+    circle = ImageCircle(*np.median(circles, 0).tolist()) if 2 * len(circles) > len(winners) else None
+    winners = [estimate for estimate in winners if (estimate.image_circle is None) == (circle is None)]
+    charts = np.array([chart_of(estimate.judged_camera) for estimate in winners])
     mean, covariance = robust_mean(charts, np.array([estimate.covariance for estimate in winners]))
     size = sizes.pop()
+    judged = size if circle is None else (circle.inscribed.side,) * 2
+    camera = FisheyeCamera(camera_from_chart(torch.from_numpy(mean), judged).numpy(), judged)
     return PhotoEstimate(
-        FisheyeCamera(camera_from_chart(torch.from_numpy(mean), size).numpy(), size),
+        camera if circle is None else circle.inscribed.whole(camera, size),
         float(np.median([estimate.confidence for estimate in winners])),
         votes >= 0,
         _median([estimate.straightness_before for estimate in winners]),
         _median([estimate.straightness_after for estimate in winners]),
         any(estimate.refined for estimate in winners),
         covariance,
+        circle,
     )
 
 

@@ -25,6 +25,7 @@ from torch import Tensor
 
 from . import numpy as door
 from .cameras import Camera, FisheyeCamera, PinholeCamera
+from .image_circle import ImageCircle, find_image_circle, pieces_within, prior_within
 from .lens_chart import ASPECT, PRINCIPAL_POINT, SIZE, camera_from_chart, chart_of, perspective_chart, stretch
 from .network import FishEyeRecNet
 from .pictures import decode, read_picture
@@ -64,6 +65,23 @@ class PhotoEstimate:
     """Whether the camera was refined on lines; else it is the network's."""
     covariance: np.ndarray
     """(8, 8): of the lens chart, which the confidence sums up."""
+    image_circle: ImageCircle | None
+    """Where the photo ends, in its own pixels, if it does not fill its frame."""
+
+    @property
+    def judged_camera(self) -> FisheyeCamera:
+        """The camera of that part of the photo to whose chart `covariance` belongs: the square within the circle."""
+        return self.camera if self.image_circle is None else self.image_circle.inscribed.of(self.camera)
+
+    def camera_to_view(self, mode: str | None = None, balance: float | None = None) -> FisheyeCamera:
+        """Give the camera to choose a view by, for `view_for` with these options: that of a square about the circle.
+
+        The square within the circle where the view is to be valid, else the one around it.
+        """
+        if self.image_circle is None:
+            return self.camera
+        is_cut = balance is not None or mode in ("valid_only", "valid_rectangle")
+        return (self.image_circle.inscribed if is_cut else self.image_circle.circumscribed).of(self.camera)
 
 
 @dataclass(frozen=True, repr=False)
@@ -165,12 +183,15 @@ class Rectifier:
             raise ValueError("Rectifier(): expected view alone or fov_deg, focal, balance and size, got both")
         estimate = self._estimate(opened.pixels, refine)
         if not isinstance(view, Camera):
-            view = view_for(estimate.camera, size or opened.pixels.shape[:2], mode, projection=projection, **options)
+            seen = estimate.camera_to_view(mode, balance)
+            view = view_for(seen, size or opened.pixels.shape[:2], mode, projection=projection, **options)
         if not estimate.distorted:
             image, valid = opened.pixels, np.ones(opened.pixels.shape[:2], dtype=bool)
             view = PinholeCamera.edge_matched(estimate.camera, opened.pixels.shape[:2])
         else:
             image, valid = _rectify(opened.pixels, estimate.camera, view, rotation, interpolation, antialias)
+            if estimate.image_circle is not None:
+                valid &= _seen_within(estimate.image_circle, estimate.camera, view, rotation)
         return PhotoRectification(
             **vars(estimate), image=opened.restore(image), valid=opened.restore_mask(valid), view=view
         )
@@ -181,8 +202,14 @@ class Rectifier:
 
     def _estimate(self, pixels: np.ndarray, refine: bool) -> PhotoEstimate:
         working = _working_copy(pixels)
-        camera, covariance = self._look(working)
         pieces, size = find_pieces(working)
+        circle = find_image_circle(working)
+        if circle is None:
+            camera, covariance = self._look(working)
+        else:
+            pieces, size = pieces_within(pieces, circle), (circle.inscribed.side,) * 2
+            mean, covariance = prior_within(circle)
+            camera = _camera_of(mean, size)
         before = straightness_of(pieces, None, size)
         refinement = None
         if refine:
@@ -192,19 +219,17 @@ class Rectifier:
             camera, covariance = refinement.camera, refinement.covariance
         distorted = _is_distorted(camera, refinement)
         if not distorted:
-            camera = _straight_camera(working.shape[:2])
+            camera = _camera_of(perspective_chart(_STRAIGHT_FOV / 2), size)
             after = before
         else:
             after = straightness_of(pieces, camera, size) if refinement is None else refinement.straightness_after
-        return PhotoEstimate(
-            camera.numpy().resize(pixels.shape[:2]),
-            math.exp(-_expected_error_px(chart_of(camera), covariance) / 2),
-            distorted,
-            before,
-            after,
-            refinement is not None and refinement.accepted and distorted,
-            covariance,
-        )
+        confidence = math.exp(-_expected_error_px(chart_of(camera), covariance) / 2)
+        if circle is not None:
+            camera = circle.inscribed.whole(camera, working.shape[:2])
+            circle = circle.resize(max(pixels.shape[:2]) / max(working.shape[:2]))
+        refined = refinement is not None and refinement.accepted and distorted
+        camera = camera.numpy().resize(pixels.shape[:2])
+        return PhotoEstimate(camera, confidence, distorted, before, after, refined, covariance, circle)
 
     def _look(self, working: np.ndarray) -> tuple[FisheyeCamera, np.ndarray]:
         """Ask the network: the camera of the working copy, and the covariance (8, 8) of its chart."""
@@ -214,8 +239,7 @@ class Rectifier:
         if not (chart.isfinite().all() and covariance.isfinite().all()):
             raise ValueError("Rectifier(): expected a finite lens from the network, got none: broken weights?")
         size = frame.shape[:2]
-        camera = FisheyeCamera(camera_from_chart(chart, size).numpy(), size)
-        return camera.resize(working.shape[:2]), covariance.numpy() * np.outer(_TRUST, _TRUST)
+        return _camera_of(chart.numpy(), size).resize(working.shape[:2]), covariance.numpy() * np.outer(_TRUST, _TRUST)
 
 
 class _Photo(NamedTuple):
@@ -362,10 +386,15 @@ def _is_distorted(camera: FisheyeCamera, refinement: Refinement | None) -> bool:
     return bends and (refinement is None or refinement.evidence > -DISTORTED_EVIDENCE)
 
 
-def _straight_camera(image_size: tuple[int, int]) -> FisheyeCamera:
-    """A lens that bends nothing: the Kannala-Brandt polynomial of a perspective camera."""
-    chart = torch.from_numpy(perspective_chart(_STRAIGHT_FOV / 2))
-    return FisheyeCamera(camera_from_chart(chart, image_size).numpy(), image_size)
+def _camera_of(chart: np.ndarray, image_size: tuple[int, int]) -> FisheyeCamera:
+    return FisheyeCamera(camera_from_chart(torch.from_numpy(chart), image_size).numpy(), image_size)
+
+
+def _seen_within(circle: ImageCircle, camera: FisheyeCamera, view: Camera, rotation: Any) -> np.ndarray:
+    """Which pixels (h, w) of a view show what lies within the image circle."""
+    height, width = camera.image_size
+    points = np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(height))), -1)
+    return door.rectify(circle.contains(points), camera, view, rotation=rotation, interpolation="nearest")[0]
 
 
 def _expected_error_px(chart: np.ndarray, covariance: np.ndarray) -> float:

@@ -38,9 +38,9 @@ _SHARED_ERROR = 3.0
 _TURN = 0.005  # rad, of a line in a family of parallels besides its noise
 _TURN_CUT = 0.01  # rad, where rho begins to give up
 _STRAIGHT_PX = 0.4
-# Where the lines contradict the prior by so much (chi squared of 8; found on the wide chessboards, decision 0012), or
-# a lens of the wide prior lowers their cost by so much, the wide prior takes its place.
-_SURPRISE, _STRAIGHTER = 12.0, 150.0
+# Where the lines contradict the prior by so much (chi squared of 8 exceeds it once in 1,000 times), or a lens of the
+# wide prior lowers their cost by so much, the wide prior takes its place.
+_SURPRISE, _STRAIGHTER = 26.1, 150.0
 _STEP_LIMIT = 2.0  # in standard deviations of the prior
 # Cut of rho in pixels before merging; then tolerance of merging and cut.
 _LOOSE_CUTS = (1.0, 0.7, 0.4)
@@ -56,6 +56,12 @@ class Prior(NamedTuple):
     """(8,)."""
     covariance: np.ndarray
     """(8, 8), positive definite."""
+
+    def given(self, row: np.ndarray, value: float, deviation: float) -> Prior:
+        """Give the prior once row . chart, for a row (8,), is measured as a value up to a standard deviation."""
+        spread = self.covariance @ row
+        gain = spread / (row @ spread + deviation**2)
+        return Prior(self.mean + gain * (value - row @ self.mean), self.covariance - np.outer(gain, spread))
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,7 @@ ORDER = [
     "sightlines",
     "straightness",
     "refinement",
+    "image_circle",
     "network",
     "weights",
     "rectifier",

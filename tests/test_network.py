@@ -259,6 +259,31 @@ def test_a_picture_that_is_not_finite_is_refused(value):
         FishEyeRecNet.compact().eval()(image)
 
 
+class Tensors(nn.Module):
+    """A network's output as tensors, which is what an exported program may return."""
+
+    def __init__(self, network):
+        super().__init__()
+        self.network = network
+
+    def forward(self, image):
+        output = self.network(image)
+        return output.image, output.camera.params, output.view.params
+
+
+def test_the_whole_of_compact_is_one_graph(tmp_path):
+    torch.compiler.reset()
+    torch.manual_seed(0)
+    model, image = Tensors(FishEyeRecNet.compact(4)).eval(), torch.rand(2, 3, 96, 192)
+    with torch.no_grad():
+        expected = model(image)
+        torch.export.save(torch.export.export(model, (image,)), tmp_path / "model.pt2")
+        exported = torch.export.load(tmp_path / "model.pt2").module()
+        compiled = torch.compile(model, fullgraph=True, backend="aot_eager")
+        for program in (exported, compiled):
+            torch.testing.assert_close(program(image), expected)
+
+
 # --- What the head emits ------------------------------------------------------------------------------
 
 

@@ -405,7 +405,7 @@ def test_pictures_and_clips_of_one_folder(clip, lens, tmp_path):
 
 
 def told(camera, confidence=0.5, distorted=True, sigma=0.01):
-    return PhotoEstimate(camera, confidence, distorted, 1.0, 0.1, True, sigma**2 * np.eye(8))
+    return PhotoEstimate(camera, confidence, distorted, 1.0, 0.1, True, sigma**2 * np.eye(8), None)
 
 
 def shifted(amount):

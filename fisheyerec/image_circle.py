@@ -1,0 +1,154 @@
+"""The image circle of a lens: where a picture ends that does not fill its frame, and what that tells of the lens."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+
+from . import pixel
+from .cameras import FisheyeCamera
+from .lens_chart import FIELD_OF_VIEW, PRINCIPAL_POINT, PROFILE, SIZE, angle_to_g
+from .refinement import Prior, wide_prior
+from .sightlines import Pieces
+
+# Grey levels of 255, in the brightest channel, of the surround: noise and compression leave it so far above its
+# corners, and at most so bright.
+_ABOVE_CORNERS, _BLACK = 8, 64
+_FEWEST_POINTS = 60  # of the border, on the circle
+_ROUNDS = 10
+_TOLERANCE = 0.012  # of the radius, from the circle
+# The least share of the border that lies on the circle, and of the circle, counted in sectors, that is border.
+_ON_CIRCLE, _LEAST_TURN, _SECTORS = 0.85, 0.2, 72
+_SMALLEST, _LARGEST = 0.3, 1.0  # radius, of the frame's shorter and longer side
+
+# Lenses with an image circle are sold with 180 to 190 degrees, rarely with 160 or 220.
+_RIM, _RIM_DEVIATION = math.radians(92.5), math.radians(7)
+_CENTRE_DEVIATION = 0.02  # of the principal point from the circle's centre, in units of R
+_RIM_WIDTH = 0.04  # of the radius: edges nearer to the rim are its own
+
+
+class ImageCircle(NamedTuple):
+    """A circle in pixels of its picture."""
+
+    x: float
+    y: float
+    radius: float
+
+    @property
+    def inscribed(self) -> Square:
+        """The largest square in which the picture has something to show: the lens is judged by its chart there."""
+        return self._around(math.sqrt(2) * self.radius)
+
+    @property
+    def circumscribed(self) -> Square:
+        """The smallest square that holds all there is to see."""
+        return self._around(2 * self.radius)
+
+    def resize(self, factor: float) -> ImageCircle:
+        """Give the circle of the same picture `factor` times as large."""
+        return ImageCircle(pixel.scale(self.x, factor), pixel.scale(self.y, factor), factor * self.radius)
+
+    def contains(self, points: np.ndarray, shrink: float = 1.0) -> np.ndarray:
+        """Tell which points (..., 2) lie within the circle, or one `shrink` times as large: (...) bool."""
+        return np.asarray(np.hypot(points[..., 0] - self.x, points[..., 1] - self.y) <= shrink * self.radius)
+
+    def _around(self, side: float) -> Square:
+        whole = max(1, round(side))
+        return Square(self.x - pixel.centre(whole), self.y - pixel.centre(whole), whole)
+
+
+class Square(NamedTuple):
+    """A part of a picture, which may reach outside."""
+
+    x0: float
+    y0: float
+    side: int
+
+    def of(self, camera: FisheyeCamera) -> FisheyeCamera:
+        """Give the camera of this part."""
+        return camera.crop(self.x0, self.y0, (self.side, self.side))
+
+    def whole(self, camera: FisheyeCamera, image_size: tuple[int, int]) -> FisheyeCamera:
+        """Give the camera of the picture (height, width) from that of this part."""
+        return camera.crop(-self.x0, -self.y0, image_size)
+
+
+def find_image_circle(image: np.ndarray) -> ImageCircle | None:
+    """Find the image circle of a picture whose corners are black.
+
+    Args:
+        image: (H, W, 3) uint8.
+
+    Returns:
+        The circle, or None where the picture fills its frame or what is black has another shape.
+    """
+    brightest = cv2.GaussianBlur(image, (3, 3), 0).max(-1)
+    corners = brightest[[0, 0, -1, -1], [0, -1, 0, -1]]
+    level = int(corners.max()) + _ABOVE_CORNERS
+    if level > _BLACK:
+        return None
+    _, dark = cv2.connectedComponents((brightest <= level).astype(np.uint8), connectivity=4)
+    surround = np.isin(dark, dark[[0, 0, -1, -1], [0, -1, 0, -1]])
+    _, bright, areas, _ = cv2.connectedComponentsWithStats((~surround).astype(np.uint8), connectivity=4)
+    # The largest piece of what is not surround: others are dates and names written into corners.
+    border = _border(bright == 1 + areas[1:, cv2.CC_STAT_AREA].argmax()) if len(areas) > 1 else np.zeros((0, 2))
+    near = np.ones(len(border), dtype=bool)
+    for _ in range(_ROUNDS):
+        if near.sum() < _FEWEST_POINTS:
+            return None
+        circle = _fit(border[near])
+        distances = np.hypot(border[:, 0] - circle.x, border[:, 1] - circle.y)
+        near = np.abs(distances - circle.radius) <= max(1.0, _TOLERANCE * circle.radius)
+    turns = np.arctan2(border[near, 1] - circle.y, border[near, 0] - circle.x) / (2 * math.pi)
+    sectors = np.unique(np.floor(turns * _SECTORS) % _SECTORS)
+    is_circle = near.mean() >= _ON_CIRCLE and len(sectors) >= _LEAST_TURN * _SECTORS
+    height, width = brightest.shape
+    sides = sorted((height, width))
+    return circle if is_circle and _SMALLEST * sides[0] <= circle.radius <= _LARGEST * sides[1] else None
+
+
+def prior_within(circle: ImageCircle) -> Prior:
+    """Give the prior over charts of the inscribed square: the rim sees about 90 degrees, around the circle's centre.
+
+    The corners of that square lie on the rim, which in the chart is the sum of the profile's last number and the field
+    of view.
+    """
+    prior = wide_prior()
+    corner = np.zeros(SIZE)
+    corner[range(SIZE)[PROFILE][-1]] = corner[FIELD_OF_VIEW] = 1
+    rim = torch.tensor([_RIM, _RIM + _RIM_DEVIATION], dtype=torch.float64)
+    g, beyond = angle_to_g(rim).tolist()
+    prior = prior.given(corner, g, beyond - g)
+    for axis in np.eye(SIZE)[PRINCIPAL_POINT]:
+        prior = prior.given(axis, 0.0, _CENTRE_DEVIATION)
+    return prior
+
+
+def pieces_within(pieces: Pieces, circle: ImageCircle) -> Pieces:
+    """Give those pieces that are not of the rim, in pixels of the inscribed square."""
+    outside = ~circle.contains(pieces.points, 1 - _RIM_WIDTH)
+    inside = np.flatnonzero(pieces.sums(outside.astype(float)) == 0) if len(pieces) else np.arange(0)
+    if not len(inside):
+        return Pieces(np.zeros((0, 2)), np.zeros(1, dtype=int))
+    kept = pieces.joined([np.array([piece]) for piece in inside])
+    return Pieces(kept.points - circle.inscribed[:2], kept.starts)
+
+
+def _border(region: np.ndarray) -> np.ndarray:
+    """Points (N, 2) between pixels of a region and others."""
+    right, below = np.argwhere(region[:, 1:] != region[:, :-1]), np.argwhere(region[1:] != region[:-1])
+    between = pixel.HALF_PIXEL
+    return np.concatenate([right[:, ::-1] + (between, 0), below[:, ::-1] + (0, between)])
+
+
+def _fit(points: np.ndarray) -> ImageCircle:
+    """Fit the circle of least squared algebraic distance, x^2 + y^2 = 2 a x + 2 b y + c (Kasa 1976)."""
+    middle = points.mean(0)
+    local = points - middle
+    rows = np.column_stack([2 * local, np.ones(len(local))])
+    a, b, c = np.linalg.lstsq(rows, (local**2).sum(-1), rcond=None)[0].tolist()
+    return ImageCircle(a + float(middle[0]), b + float(middle[1]), math.sqrt(c + a * a + b * b))
