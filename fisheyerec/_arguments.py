@@ -84,10 +84,10 @@ def check_size(names: Names, size: tuple[int, ...], source: Camera) -> None:
         )
 
 
-def check_interpolates(names: Names, interpolates: bool, interpolation: str, dtype: object) -> None:
+def check_interpolates(names: Names, interpolates: bool, interpolation: str, dtype: object, taken: str) -> None:
     """Raise ValueError where a dtype of labels meets an interpolation that would mix them."""
     if not interpolates and interpolation != "nearest":
         raise ValueError(
-            f"{names.function}(): expected {names.image} of a floating dtype or uint8 for {interpolation}, "
+            f"{names.function}(): expected {names.image} of a floating dtype{taken} for {interpolation}, "
             f"got {dtype}; labels want interpolation='nearest'"
         )

@@ -21,7 +21,7 @@ DEPTH_KINDS = ("z", "distance")
 
 # The pictures of a sample -> kinds of dtype, in NumPy's letters and in words.
 _RASTERS = {
-    "image": ("biuf", "a floating dtype or uint8"),
+    "image": ("biuf", "a floating dtype, uint8 or uint16"),
     "labels": ("biu", "an integer dtype"),
     "mask": ("b", "dtype bool"),
     "depth": ("iuf", "a floating or integer dtype"),
@@ -41,7 +41,7 @@ class Sample:
     """
 
     image: Any = None
-    """(H, W), (H, W, C) or tensor (C, H, W), uint8 or floating; interpolated."""
+    """(H, W), (H, W, C) or tensor (C, H, W), uint8, uint16 (arrays) or floating; interpolated."""
     labels: Any = None
     """(H, W), (H, W, C) or tensor (C, H, W), of any integer type; never mixed. 0 where nothing is seen."""
     mask: Any = None

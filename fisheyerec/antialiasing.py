@@ -106,11 +106,11 @@ def reduce(image: np.ndarray, factor: int) -> np.ndarray:
     """Average blocks of pixels, the last ones of a row or column over what there is.
 
     Args:
-        image: (H, W, ...), uint8 or floating.
+        image: (H, W, ...), uint8, uint16 or floating.
         factor: how many pixels a block is wide and high.
 
     Returns:
-        (ceil(H / factor), ceil(W / factor), ...) of the same dtype; uint8 is rounded half up.
+        (ceil(H / factor), ceil(W / factor), ...) of the same dtype; uint8 and uint16 are rounded half up.
     """
     if factor == 1:
         return image
@@ -136,4 +136,5 @@ def reduce(image: np.ndarray, factor: int) -> np.ndarray:
         count = np.multiply.outer(rows, columns).reshape(len(rows), len(columns), *[1] * (image.ndim - 2)).astype(dtype)
     if image.dtype == np.uint8:
         return np.asarray((2 * total + count) // (2 * count), np.uint8)
-    return np.asarray(total / count, image.dtype)
+    mean = total / count
+    return np.asarray(np.floor(mean + 1 / 2) if image.dtype.kind == "u" else mean, image.dtype)

@@ -67,7 +67,8 @@ class Camera:
         shape = tuple(self.params.shape)
         if shape != (len(self.parameter_names),):
             return f"{type(self).__name__}(params={shape}, image_size=({height}, {width}))"
-        numbers = (f"{n}={float(p):.6g}" for n, p in zip(self.parameter_names, self.params, strict=True))
+        values = self.params if isinstance(self.params, np.ndarray) else self.params.detach()
+        numbers = (f"{n}={float(p):.6g}" for n, p in zip(self.parameter_names, values, strict=True))
         return f"{type(self).__name__}({', '.join(numbers)}, image_size=({height}, {width}))"
 
     @classmethod

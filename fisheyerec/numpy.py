@@ -49,7 +49,7 @@ def rectify(
     """Show a fisheye picture as another view sees it.
 
     Args:
-        image: (H, W) or (H, W, C), uint8 or floating; nearest takes integers as well. Any strides.
+        image: (H, W) or (H, W, C), uint8, uint16 or floating; nearest takes integers as well. Any strides.
         camera: the fisheye camera, of image size (H, W).
         view: the view to make, of image size (h, w).
         rotation: (3, 3) camera_from_view, turning the view, as `view_rotation` gives it; None for none.
@@ -169,7 +169,7 @@ class Plan:
         """Resample one picture.
 
         Args:
-            image: (H, W) or (H, W, C), uint8, float16 or float32; nearest takes integers as well. Any strides.
+            image: (H, W) or (H, W, C), uint8, uint16, float16 or float32; nearest takes integers as well. Any strides.
             interpolation: "bilinear" or "nearest" (labels).
 
         Returns:
@@ -181,7 +181,9 @@ class Plan:
         """
         channels = _as_channels(PLAN, image, interpolation)
         if image.dtype == np.float64:
-            raise ValueError("Plan(): expected image of uint8, float16 or float32, got float64; resample() takes it")
+            raise ValueError(
+                "Plan(): expected image of uint8, uint16, float16 or float32, got float64; resample() takes it"
+            )
         check_size(PLAN, image.shape[:2], self.source)
         out = self._coordinates.resample(channels, interpolation, self._threads)
         return Resampled(out.reshape(*self.target.image_size, *image.shape[2:]), self.valid)
@@ -242,7 +244,8 @@ def _as_channels(names: Names, image: np.ndarray, interpolation: str) -> np.ndar
     if image.dtype.kind not in "biuf" or image.dtype.itemsize > 8 or not image.dtype.isnative:
         raise ValueError(f"{function}(): expected {names.image} of a floating or integer dtype, got {image.dtype}")
     check_interpolation(function, interpolation)
-    check_interpolates(names, image.dtype.kind == "f" or image.dtype == np.uint8, interpolation, image.dtype)
+    interpolates = image.dtype.kind == "f" or image.dtype in (np.uint8, np.uint16)
+    check_interpolates(names, interpolates, interpolation, image.dtype, ", uint8 or uint16")
     if any(stride % image.itemsize for stride in image.strides):  # a field of a record array
         image = image.copy()
     return image if image.ndim == 3 else image[..., None]

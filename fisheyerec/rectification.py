@@ -165,7 +165,8 @@ def resample_named(
     check_interpolation(function, interpolation)
     check_antialias(function, antialias, interpolation)
     check_padding(function, padding)
-    check_interpolates(names, image.is_floating_point() or image.dtype == torch.uint8, interpolation, image.dtype)
+    interpolates = image.is_floating_point() or image.dtype == torch.uint8
+    check_interpolates(names, interpolates, interpolation, image.dtype, " or uint8")
     check_camera(function, names.source, source)
     check_camera(function, names.target, target)
     check_size(names, tuple(image.shape[-2:]), source)

@@ -189,7 +189,14 @@ class Rectifier:
             image, valid = opened.pixels, np.ones(opened.pixels.shape[:2], dtype=bool)
             view = PinholeCamera.edge_matched(estimate.camera, opened.pixels.shape[:2])
         else:
-            image, valid = _rectify(opened.pixels, estimate.camera, view, rotation, interpolation, antialias)
+            image, valid = door.rectify(
+                opened.pixels,
+                estimate.camera,
+                view,
+                rotation=rotation,
+                interpolation=interpolation,
+                antialias=antialias,
+            )
             if estimate.image_circle is not None:
                 valid &= _seen_within(estimate.image_circle, estimate.camera, view, rotation)
         return PhotoRectification(
@@ -298,17 +305,6 @@ def _checked(pixels: np.ndarray) -> np.ndarray:
     if pixels.dtype.kind == "f" and not (np.isfinite(pixels.min()) and np.isfinite(pixels.max())):
         raise ValueError("Rectifier(): expected photo of finite pixels, got NaN or infinite ones")
     return pixels
-
-
-def _rectify(
-    pixels: np.ndarray, camera: FisheyeCamera, view: Camera, rotation: Any, interpolation: str, antialias: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    # The kernels interpolate no integers but bytes; float32 holds 16 bits exactly.
-    image = pixels if pixels.dtype != np.uint16 else pixels.astype(np.float32)
-    image, valid = door.rectify(
-        image, camera, view, rotation=rotation, interpolation=interpolation, antialias=antialias
-    )
-    return image if pixels.dtype != np.uint16 else np.rint(image).astype(np.uint16), valid
 
 
 def _working_copy(pixels: np.ndarray) -> np.ndarray:

@@ -397,7 +397,7 @@ BAD = {
     "no_sample": ({"sample": np.zeros(SIZE)}, TypeError, "sample as a Sample, got ndarray"),
     "list_for_image": ({"image": [[1]]}, TypeError, "sample.image as a NumPy array or a tensor, got list"),
     "image_of_another_size": ({"image": np.zeros((60, 79))}, ValueError, r"sample.image of the size of camera, \(60, 80\)"),
-    "integer_image": ({"image": np.zeros(SIZE, np.int32)}, ValueError, "sample.image of a floating dtype or uint8 .* got int32"),
+    "integer_image": ({"image": np.zeros(SIZE, np.int32)}, ValueError, "sample.image of a floating dtype, uint8 or uint16 .* got int32"),
     "labels_of_another_size": ({"labels": np.zeros((6, 80), int)}, ValueError, r"sample.labels of the size of camera"),
     "floating_labels": ({"labels": np.zeros(SIZE)}, ValueError, "sample.labels of an integer dtype, got float64"),
     "integer_mask": ({"mask": np.zeros(SIZE, int)}, ValueError, "sample.mask of dtype bool, got int64"),

@@ -55,6 +55,22 @@ def test_the_same_bits_as_torch(function, dtype, padding, channels, turned):
     assert valid.any()
 
 
+@pytest.mark.parametrize("channels", [None, 3, 17])
+@pytest.mark.parametrize("padding", ["zeros", "border"])
+@pytest.mark.parametrize("antialias", [False, True])
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_16_bits_are_blended_as_floats_and_rounded_half_up(function, antialias, padding, channels):
+    image = np.random.default_rng(1).integers(0, 65536, shape_of(function, channels)).astype(np.uint16)
+    image[: image.shape[0] // 2] |= 0xFFF0  # up to the brightest there is
+    options = {"padding": padding, "antialias": antialias}
+    out, valid = call(function, image, **options)
+    expected, seen = call(function, image.astype(np.float32), **options)
+    assert out.dtype == np.uint16
+    # Averaging rounds twice.
+    np.testing.assert_allclose(out.astype(float), np.floor(expected + 0.5), rtol=0, atol=int(antialias))
+    np.testing.assert_array_equal(valid, seen)
+
+
 LABELS = [bool, np.uint8, np.int16, np.int32, np.int64, np.float16, np.float32, np.float64]
 
 

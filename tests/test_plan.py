@@ -30,6 +30,7 @@ def assert_same(planned, direct):
     [
         (np.uint8, 3, "bilinear"),
         (np.uint8, None, "bilinear"),
+        (np.uint16, 3, "bilinear"),
         (np.float16, 2, "bilinear"),
         (np.float32, 17, "bilinear"),
         (np.uint8, None, "nearest"),

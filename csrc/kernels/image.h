@@ -7,7 +7,7 @@
 
 namespace fisheyerec {
 
-enum class ScalarType : int32_t { uint8, int16, int32, int64, float16, bfloat16, float32, float64 };
+enum class ScalarType : int32_t { uint8, uint16, int16, int32, int64, float16, bfloat16, float32, float64 };
 
 // The largest height and width: indices, and floats near them, stay within 32 bits.
 constexpr int64_t max_size = int64_t{1} << 30;

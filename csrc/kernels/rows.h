@@ -21,6 +21,7 @@ void with_storage(ScalarType type, const Visit& visit) {
     visit(static_cast<double*>(nullptr));
   } else {
     switch (type) {
+      case ScalarType::uint16: return visit(static_cast<uint16_t*>(nullptr));
       case ScalarType::float16: return visit(static_cast<Float16*>(nullptr));
       case ScalarType::bfloat16: return visit(static_cast<BFloat16*>(nullptr));
       default: return visit(static_cast<float*>(nullptr));
@@ -33,6 +34,7 @@ template <class Visit>
 void with_bytes(ScalarType type, const Visit& visit) {
   switch (type) {
     case ScalarType::uint8: return visit(static_cast<uint8_t*>(nullptr));
+    case ScalarType::uint16:
     case ScalarType::int16:
     case ScalarType::float16:
     case ScalarType::bfloat16: return visit(static_cast<uint16_t*>(nullptr));

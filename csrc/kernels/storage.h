@@ -60,6 +60,12 @@ struct Storage {
   }
 };
 
+// Of a weighted mean of whole numbers, which never leaves their range.
+template <class D, class T>
+FISHEYEREC_INLINE Like<D, T> round_half_up(const T& value) {
+  return convert<Like<D, T>>(truncate(value + Scalar<T>(0.5)));
+}
+
 template <>
 struct Storage<uint8_t> {
   using Bits = uint8_t;
@@ -74,8 +80,20 @@ struct Storage<uint8_t> {
   }
   template <class T>
   static FISHEYEREC_INLINE Like<uint8_t, T> narrow(const T& value) {
-    // Round half up: a weighted mean of pixels never leaves [0, 255].
-    return convert<Like<uint8_t, T>>(truncate(value + Scalar<T>(0.5)));
+    return round_half_up<uint8_t>(value);
+  }
+};
+
+template <>
+struct Storage<uint16_t> {
+  using Bits = uint16_t;
+  template <class T>
+  static FISHEYEREC_INLINE T widen(const Like<uint16_t, T>& stored) {
+    return convert<T>(convert<Like<int32_t, T>>(stored));
+  }
+  template <class T>
+  static FISHEYEREC_INLINE Like<uint16_t, T> narrow(const T& value) {
+    return round_half_up<uint16_t>(value);
   }
 };
 

@@ -45,6 +45,7 @@ fisheyerec::ScalarType scalar_type(const py::array& array) {
   if (kind == 'f' && size == 4) return ScalarType::float32;
   if (kind == 'f' && size == 8) return ScalarType::float64;
   if (integral && size == 1) return ScalarType::uint8;
+  if (kind == 'u' && size == 2) return ScalarType::uint16;
   if (integral && size == 2) return ScalarType::int16;
   if (integral && size == 4) return ScalarType::int32;
   if (integral && size == 8) return ScalarType::int64;
@@ -95,8 +96,8 @@ fisheyerec::Interpolation as_interpolation(const std::string& name, const py::ar
   if (name == "nearest") return fisheyerec::Interpolation::nearest;
   if (name != "bilinear") throw py::value_error("unknown interpolation " + name);
   const char kind = image.dtype().kind();
-  if (kind != 'f' && !(kind == 'u' && image.itemsize() == 1)) {
-    throw py::value_error("bilinear expects a floating or uint8 image; use nearest for labels");
+  if (kind != 'f' && !(kind == 'u' && image.itemsize() <= 2)) {
+    throw py::value_error("bilinear expects a floating, uint8 or uint16 image; use nearest for labels");
   }
   return fisheyerec::Interpolation::bilinear;
 }

@@ -14,6 +14,7 @@ namespace fisheyerec {
 inline int64_t bytes_of(ScalarType type) {
   switch (type) {
     case ScalarType::uint8: return 1;
+    case ScalarType::uint16:
     case ScalarType::int16:
     case ScalarType::float16:
     case ScalarType::bfloat16: return 2;
@@ -72,6 +73,7 @@ class Picture {
   double get(int64_t b, int64_t c, int64_t y, int64_t x) const {
     switch (image.type) {
       case ScalarType::uint8: return read<uint8_t>(at(b, c, y, x));
+      case ScalarType::uint16: return read<uint16_t>(at(b, c, y, x));
       case ScalarType::int16: return read<int16_t>(at(b, c, y, x));
       case ScalarType::int32: return read<int32_t>(at(b, c, y, x));
       case ScalarType::int64: return static_cast<double>(read<int64_t>(at(b, c, y, x)));
@@ -87,6 +89,7 @@ class Picture {
     void* pixel = at(b, c, y, x);
     switch (image.type) {
       case ScalarType::uint8: return write(pixel, static_cast<uint8_t>(value));
+      case ScalarType::uint16: return write(pixel, static_cast<uint16_t>(value));
       case ScalarType::int16: return write(pixel, static_cast<int16_t>(value));
       case ScalarType::int32: return write(pixel, static_cast<int32_t>(value));
       case ScalarType::int64: return write(pixel, static_cast<int64_t>(value));

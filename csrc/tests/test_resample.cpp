@@ -133,8 +133,9 @@ TEST(the_same_camera_on_both_sides_returns_the_image) {
 
 TEST(a_shifted_principal_point_shifts_the_image_by_whole_pixels_and_frames_it) {
   const Shape shape{1, 2, 17, 300}, target_shape{1, 2, 20, 310};
-  for (const ScalarType type : {ScalarType::uint8, ScalarType::int16, ScalarType::int32, ScalarType::int64,
-                                ScalarType::float16, ScalarType::bfloat16, ScalarType::float32, ScalarType::float64}) {
+  for (const ScalarType type :
+       {ScalarType::uint8, ScalarType::uint16, ScalarType::int16, ScalarType::int32, ScalarType::int64,
+        ScalarType::float16, ScalarType::bfloat16, ScalarType::float32, ScalarType::float64}) {
     const bool integer = type == ScalarType::int16 || type == ScalarType::int32 || type == ScalarType::int64;
     for (const Interpolation interpolation : interpolations) {
       if (integer && interpolation == Interpolation::bilinear) continue;
