@@ -178,7 +178,7 @@ def resample_named(
         parameters["rotation"] = _rotations(function, source_from_target)
     batch = image.shape[0]
     for name, tensor in parameters.items():
-        if tensor.shape[0] not in (1, batch):
+        if tensor.shape[0] != 1 and tensor.shape[0] != batch:  # `in` a tuple misleads torch.compile's symbols
             if batch != 1:
                 shape = ", ".join(["B", *map(str, tensor.shape[1:])])
                 raise ValueError(
