@@ -42,7 +42,7 @@ class Picture:
     """A decoded picture."""
 
     pixels: np.ndarray
-    """(H, W), (H, W, 3) RGB or (H, W, 4) RGBA: uint8, or float32 holding 16 bits."""
+    """(H, W), (H, W, 3) RGB or (H, W, 4) RGBA: uint8 or uint16."""
     metadata: dict[str, Any] = field(default_factory=dict)
     """EXIF and ICC profile, as Pillow's save() takes them."""
 
@@ -79,7 +79,7 @@ def decode(image: Image.Image) -> Picture:
     """
     image.load()
     if image.mode.startswith("I"):
-        return _described(image, np.asarray(image, dtype=np.float32))
+        return _described(image, np.asarray(image).clip(0, 65535).astype(np.uint16))
     mode = image.mode if image.mode in _EXACT_MODES else "RGBA" if image.has_transparency_data else "RGB"
     return _described(image, np.asarray(image.convert(mode)))
 
@@ -92,7 +92,7 @@ def write_picture(path: str | os.PathLike[str], picture: Picture, *, quality: in
 
     Args:
         path: where to; the suffix names the format.
-        picture: (H, W), (H, W, 3) or (H, W, 4), uint8, or floating holding 16 bits.
+        picture: (H, W), (H, W, 3) or (H, W, 4), uint8 or uint16.
         quality: from 1 to 100, of JPEG, WebP and AVIF; None for 95.
 
     Raises:
@@ -107,10 +107,9 @@ def write_picture(path: str | os.PathLike[str], picture: Picture, *, quality: in
     if picture_format == "JPEG" and pixels.shape[2:] == (4,):
         pixels = pixels[..., :3]
     is_colour = pixels.ndim == 3
-    if pixels.dtype != np.uint8:
-        is_deep = picture_format in (_SIXTEEN_BIT_COLOUR if is_colour else _SIXTEEN_BIT_GREY)
-        limit, dtype, step = (65535, np.uint16, 1) if is_deep else (255, np.uint8, 257)
-        pixels = np.clip(np.rint(pixels / step), 0, limit).astype(dtype)
+    deep_formats = _SIXTEEN_BIT_COLOUR if is_colour else _SIXTEEN_BIT_GREY
+    if pixels.dtype == np.uint16 and picture_format not in deep_formats:
+        pixels = np.rint(pixels / 257).astype(np.uint8)
     metadata = _resized(picture.metadata, pixels.shape[:2])
     options: dict[str, Any] = {"quality": quality or DEFAULT_QUALITY} if picture_format in _WITH_QUALITY else {}
     if picture_format == "JPEG":
@@ -182,14 +181,14 @@ def _resized(metadata: dict[str, Any], size: tuple[int, int]) -> dict[str, Any]:
 
 
 def _deep_colour(path: str | os.PathLike[str]) -> np.ndarray:
-    """Read 16 bit colour, which Pillow would cut to 8: (H, W, 3) or (H, W, 4) float32."""
+    """Read 16 bit colour, which Pillow would cut to 8: (H, W, 3) or (H, W, 4) uint16."""
     import cv2
 
     pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None or pixels.dtype != np.uint16 or pixels.ndim != 3:
         raise ValueError(f"read_picture(): expected 16 bit colour as OpenCV reads it, got {os.fspath(path)!r}")
     order = cv2.COLOR_BGRA2RGBA if pixels.shape[2] == 4 else cv2.COLOR_BGR2RGB
-    return np.asarray(cv2.cvtColor(pixels, order), dtype=np.float32)
+    return np.asarray(cv2.cvtColor(pixels, order))
 
 
 def _deep_colour_file(picture_format: str, pixels: np.ndarray, metadata: dict[str, Any]) -> bytes:

@@ -178,7 +178,8 @@ def resample_named(
         parameters["rotation"] = _rotations(function, source_from_target)
     batch = image.shape[0]
     for name, tensor in parameters.items():
-        if tensor.shape[0] != 1 and tensor.shape[0] != batch:  # `in` a tuple misleads torch.compile's symbols
+        # Not `in`, which torch.compile answers wrongly where a batch may be of any size.
+        if tensor.shape[0] != 1 and tensor.shape[0] != batch:
             if batch != 1:
                 shape = ", ".join(["B", *map(str, tensor.shape[1:])])
                 raise ValueError(

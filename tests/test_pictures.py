@@ -23,16 +23,16 @@ KINDS = {"grey": np.s_[..., 0], "colour": np.s_[..., :3], "with alpha": np.s_[..
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_sixteen_bits_come_back_as_they_were(tmp_path, deep, kind, suffix):
-    pixels = deep[KINDS[kind]].astype(np.float32)
+    pixels = deep[KINDS[kind]]
     write_picture(tmp_path / f"a{suffix}", Picture(pixels))
     found = read_picture(tmp_path / f"a{suffix}").pixels
-    assert found.dtype == np.float32
+    assert found.dtype == np.uint16
     np.testing.assert_array_equal(found, pixels)
 
 
 @pytest.mark.parametrize("kind", ["grey", "colour"])
 def test_a_format_of_eight_bits_takes_the_upper_ones(tmp_path, deep, kind):
-    pixels = deep[KINDS[kind]].astype(np.float32)
+    pixels = deep[KINDS[kind]]
     write_picture(tmp_path / "a.bmp", Picture(pixels))
     found = read_picture(tmp_path / "a.bmp").pixels
     assert found.dtype == np.uint8
@@ -50,9 +50,9 @@ def test_every_orientation_is_undone_as_pillow_does(tmp_path, deep, kind, orient
     with Image.open(tmp_path / "a.png") as opened:
         expected = np.asarray(ImageOps.exif_transpose(opened))
     np.testing.assert_array_equal(read_picture(tmp_path / "a.png").pixels, expected)
-    write_picture(tmp_path / "deep.png", Picture(eight * np.float32(257), {"exif": exif.tobytes()}))
+    write_picture(tmp_path / "deep.png", Picture(eight * np.uint16(257), {"exif": exif.tobytes()}))
     found = read_picture(tmp_path / "deep.png").pixels
-    np.testing.assert_array_equal(found, expected * np.float32(257))
+    np.testing.assert_array_equal(found, expected * np.uint16(257))
 
 
 def tiff(pixels, orientation):
@@ -98,7 +98,7 @@ def test_what_a_file_says_about_itself_is_kept_and_its_orientation_used_up(tmp_p
     Image.new("RGB", (32, 20)).save(tmp_path / f"a{source}", **described)
     picture = read_picture(tmp_path / f"a{source}")
     assert picture.pixels.shape == (32, 20, 3)
-    pixels = picture.pixels[:10] * (np.float32(257) if target == "16.png" else np.uint8(1))
+    pixels = picture.pixels[:10] * (np.uint16(257) if target == "16.png" else np.uint8(1))
     write_picture(tmp_path / f"b{target}", Picture(pixels, picture.metadata))
     with Image.open(tmp_path / f"b{target}") as image:
         assert image.size == (20, 10)
@@ -137,7 +137,7 @@ def test_quality_outside_its_range_is_refused(tmp_path, quality):
 
 
 def test_deep_colour_that_is_cut_off_is_broken(tmp_path, deep):
-    write_picture(tmp_path / "a.png", Picture(deep.astype(np.float32)))
+    write_picture(tmp_path / "a.png", Picture(deep))
     (tmp_path / "a.png").write_bytes((tmp_path / "a.png").read_bytes()[:-500])
     with pytest.raises(ValueError, match="expected a complete picture"):
         read_picture(tmp_path / "a.png")

@@ -195,6 +195,17 @@ def test_compile_with_any_batch_and_size():
         assert torch.equal(compiled(image, params), straighten(image, params))
 
 
+def test_compile_a_batch_of_lenses_after_batches_of_other_sizes():
+    torch.compiler.reset()
+    own = fr.DistortionRectification(VIEW, camera=fr.FisheyeCamera(LENSES[0], SIZE))
+    compiled = torch.compile(own, fullgraph=True, backend="aot_eager")
+    for batch in (1, 3):  # from now on the batch of images is a symbol, that of lenses still a number
+        compiled(noise(batch, 3, *SIZE))
+    layer = fr.DistortionRectification(VIEW)
+    compiled = torch.compile(layer, fullgraph=True, backend="aot_eager")
+    assert torch.equal(compiled(noise(2, 3, *SIZE), LENSES[:2]), layer(noise(2, 3, *SIZE), LENSES[:2]))
+
+
 def test_compile_with_a_rotation_and_distort():
     torch.compiler.reset()
 
