@@ -219,18 +219,19 @@ class BlindRectifier:
             return self.rectifier().estimate(frame, refine=self.refine)
 
         found = pool([estimate(frame) for frame in video.sample_frames(source)])
+        camera = found.camera.resize(video.frame_size(source))  # of pixels as they are stored, square or not
         if not found.distorted:
             video.copy_video(source, target)
-            return FileReport(found.camera, None, f"as it was, {describe(found)}")
+            return FileReport(camera, None, f"as it was, {describe(found)}")
         height, width = found.camera.image_size
         options = replace(self.options, size=self.options.size or (height - height % 2, width - width % 2))
         view = options.view_of(found.camera_to_view(options.mode, options.balance))
         rotation = options.rotation()
         result = video.rectify_video(
-            source, target, found.camera, view, rotation=rotation, quality=self.quality, on_frame=on_frame
+            source, target, camera, view, rotation=rotation, quality=self.quality, on_frame=on_frame
         )
         summary = f"{_describe(view)}, {result.summary}, {describe(found)}"
-        return FileReport(found.camera, view, summary, result.complaint)
+        return FileReport(camera, view, summary, result.complaint)
 
     def rectifier(self) -> Rectifier:
         """Load the network, the first time.

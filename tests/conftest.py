@@ -226,3 +226,14 @@ def run_python(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]
 def hears_ctrl_c() -> Callable[[], object]:
     """For `preexec_fn` of a process that is to be interrupted: shells start their background jobs deaf to it."""
     return lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+@pytest.fixture(scope="session")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A second of a drawn scene that pans, with a tone, as MP4."""
+    pytest.importorskip("av", reason="PyAV is not installed")
+    import clips
+
+    path = tmp_path_factory.mktemp("clips") / "clip.mp4"
+    clips.make_clip(path)
+    return path

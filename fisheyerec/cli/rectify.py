@@ -102,6 +102,7 @@ def rectify(
     stays at the edge of the result, so nothing in it is empty.
     Whatever moves along takes the camera and the view of its picture. FROM and TO are files for one picture, and for
     several folders of the same relative paths, with other suffixes; of --annotations, one file for all.
+    A lens file describes pixels as they are stored, in videos too whose pixels are not square; the result's are.
     A folder is searched to the bottom and made again below the output, with a record of what was done and with which
     camera, manifest.jsonl. A file that fails does not stop the rest: the exit status is 1 then.
     """
