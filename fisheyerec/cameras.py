@@ -29,6 +29,8 @@ EDGE_MATCHED_THETA_MAX = math.radians(60)
 
 # How far off a lens of another model may be where it is fitted worst, commonly in a corner, where calibrations are
 # themselves no better: those of one camera in four models differ there by 1 to 26 px (tests/test_lens_models.py).
+# Brown and Conrady's polynomial is refused most: calibrated on a fisheye lens it folds within the picture, and where it
+# does not, is off by pixels of its own.
 MAX_FIT_ERROR_PX = 1.0
 
 
@@ -234,6 +236,9 @@ class FisheyeCamera(Camera):
     fit_rms_px: float | None = None
     """The root mean square error over the picture of a camera that `from_model` fitted; None otherwise."""
 
+    fitted_to: str | None = None
+    """The model that `from_model` fitted the camera to; None otherwise."""
+
     @classmethod
     def load(
         cls,
@@ -250,7 +255,7 @@ class FisheyeCamera(Camera):
             max_fit_error_px: the largest error of the fit that is taken, as in `from_model`.
 
         Returns:
-            The camera; its `fit_error_px` and `fit_rms_px` are None where the file holds this very model.
+            The camera; its `fit_error_px`, `fit_rms_px` and `fitted_to` are None where the file holds this very model.
 
         Raises:
             ValueError: the file is not such a lens file, or holds a pinhole or a lens that cannot be fitted so well.
@@ -398,7 +403,7 @@ class FisheyeCamera(Camera):
 
         Returns:
             A camera; its `fit_error_px` is the largest distance between where both lenses see a ray of the picture,
-            its `fit_rms_px` the root mean square.
+            its `fit_rms_px` the root mean square, and `fitted_to` the model.
 
         Raises:
             ValueError: an unknown model, another number of parameters, or a lens that cannot be fitted so well.
@@ -422,10 +427,12 @@ class FisheyeCamera(Camera):
         if not fitted.max_error_px <= max_fit_error_px:
             raise ValueError(
                 f"{where}: expected a {file.model} lens that kannala_brandt fits within {max_fit_error_px:g} px "
-                f"(max_fit_error_px), got {fitted.max_error_px:.3g} px at most and {fitted.rms_error_px:.3g} px RMS"
+                f"(max_fit_error_px), got {fitted.max_error_px:.3g} px at most and {fitted.rms_error_px:.3g} px RMS: "
+                "allow more, or calibrate with cv2.fisheye"
             )
         camera = cls(fitted.params, (file.height, file.width))
         camera.fit_error_px, camera.fit_rms_px = fitted.max_error_px, fitted.rms_error_px
+        camera.fitted_to = file.model
         return camera
 
 

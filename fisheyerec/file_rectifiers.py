@@ -281,6 +281,13 @@ def describe_camera(camera: Camera) -> str:
     return ", ".join(f"{name} {value:.6g}" for name, value in zip(camera.parameter_names, camera.params, strict=True))
 
 
+def describe_fit(camera: Camera) -> str | None:
+    """Tell how far a camera is from the lens of another model that it was fitted to; None where it was not."""
+    if not isinstance(camera, FisheyeCamera) or camera.fitted_to is None:
+        return None
+    return f"fitted to {camera.fitted_to}: {camera.fit_rms_px:.2g} px RMS, {camera.fit_error_px:.2g} px at most"
+
+
 def _describe(view: Camera) -> str:
     height, width = view.image_size
     return f"{width}x{height}, focal {view.params[0]:.1f} px"
