@@ -98,11 +98,11 @@ class Camera:
 
         Args:
             path: the file, with a suffix that the format has.
-            format: "fisheyerec" (.json or .yaml, exact to the last bit), "opencv", "kalibr", "colmap", "gyroflow" or
-                "ros".
+            format: "fisheyerec" (.json or .yaml, exact to the last bit), or for a fisheye or pinhole camera "opencv",
+                "kalibr", "colmap", "gyroflow" or "ros".
 
         Raises:
-            ValueError: a batch of cameras, an unknown format or another suffix.
+            ValueError: a batch of cameras, a format that is unknown or does not hold the model, or another suffix.
             OSError: the file cannot be written; an older file is left as it was.
         """
         values = self._single("save").tolist()

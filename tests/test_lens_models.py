@@ -12,7 +12,7 @@ import pytest
 import fisheyerec as fr
 from fisheyerec import lens_models
 from fisheyerec.camera_files import read_camera_file
-from fisheyerec.camera_files.record import PARAMETERS
+from fisheyerec.camera_files.record import HOUSE_MODELS, PARAMETERS
 
 SIZE = (480, 640)
 K = (301.5, 302.25, 319.75, 240.5)
@@ -131,7 +131,7 @@ def other(request):
 
 
 def test_every_model_a_file_may_hold_is_converted_or_the_houses_own():
-    assert set(PARAMETERS) == {*lens_models.MODELS, "kannala_brandt", "pinhole"}
+    assert set(PARAMETERS) == {*lens_models.MODELS, *HOUSE_MODELS}
     assert {model for model, _, _ in LENSES.values()} | {"ocam"} == set(lens_models.MODELS)
 
 
