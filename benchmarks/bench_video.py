@@ -21,6 +21,8 @@ import numpy as np
 
 import fisheyerec as fr
 from fisheyerec import video
+from fisheyerec.video.frames import rectified
+from fisheyerec.video.streams import add_encoder
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 
@@ -82,22 +84,22 @@ def main() -> None:
         view = fr.PinholeCamera.edge_matched(camera, size)
         some = [frame for frame, _ in zip(decode(clip), range(RATE), strict=False)]
         again = (some * options.seconds)[:count]
-        with closing(video._rectified((frame for frame in some), camera, view, None)) as made:
-            rectified = list(made)
+        with closing(rectified((frame for frame in some), camera, view, None, 8)) as made:
+            straight = list(made)
 
         def encode() -> None:
             with av.open(str(clip)) as source, av.open(str(result), "w") as out:
-                stream = video._encoder(out, source.streams.video[0], view, video.DEFAULT_QUALITY)
+                stream, *_ = add_encoder(out, source.streams.video[0], view, video.DEFAULT_QUALITY)
                 step = int(1 / (RATE * source.streams.video[0].time_base))
                 for number in range(count):
-                    frame = rectified[number % len(rectified)]
+                    frame = straight[number % len(straight)]
                     frame.pts = number * step
                     out.mux(stream.encode(frame))
                 out.mux(stream.encode(None))
 
         print(f"{size[1]}x{size[0]}, {count} frames, {clip.stat().st_size * 8 / options.seconds / 1e6:.1f} Mbit/s")
         report("decoding", count, lambda: sum(1 for _ in decode(clip)))
-        report("rectification", count, lambda: sum(1 for _ in video._rectified((f for f in again), camera, view, None)))
+        report("rectification", count, lambda: sum(1 for _ in rectified((f for f in again), camera, view, None, 8)))
         report("rectification through RGB", count, lambda: [rectify_rgb(frame, camera, view) for frame in again][:0])
         report("encoding", count, encode)
         report("the command", count, lambda: video.rectify_video(clip, result, camera, view))

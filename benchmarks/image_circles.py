@@ -21,7 +21,9 @@ from PIL import Image
 import fisheyerec as fr
 import fisheyerec.numpy
 from fisheyerec import rectifier as one_call
+from fisheyerec.image_circle import find_image_circle
 
+CONTENDERS = ("circle not looked for", "circle alone", "one call")
 HEIGHT, WIDTHS = 800, (800, 1067, 1200, 1422)
 # theta_d of the lens at an angle, in units of the focal length.
 PROJECTIONS = {
@@ -64,31 +66,41 @@ def angle_error_deg(found: fr.FisheyeCamera, truth: fr.FisheyeCamera) -> float:
     return float(np.degrees(np.sqrt(np.nanmean((scaled - theta) ** 2, (1, 2))).min()))
 
 
+def errors_deg(rectifier: fr.Rectifier, picture: np.ndarray, truth: fr.FisheyeCamera) -> list[float]:
+    """Estimate the camera of a picture in the three ways, and compare each with the truth."""
+    with mock.patch.object(one_call, "find_image_circle", return_value=None):
+        without = rectifier.estimate(picture)
+    estimates = [without, rectifier.estimate(picture, refine=False), rectifier.estimate(picture)]
+    return [angle_error_deg(estimate.camera, truth) for estimate in estimates]
+
+
 def main() -> None:
     """Measure and print a Markdown table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("panoramas", type=Path, help="folder of equirectangular pictures")
     parser.add_argument("--count", type=int, default=80)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--photo", type=Path, nargs=2, action="append", default=[], metavar=("PICTURE", "LENSFILE"), help="a real one"
+    )
     arguments = parser.parse_args()
     rng = np.random.default_rng(arguments.seed)
     paths = sorted(arguments.panoramas.glob("*.jpg"))
     rectifier = fr.Rectifier.from_pretrained()
-    errors: dict[str, list[float]] = {name: [] for name in ("circle not looked for", "circle alone", "one call")}
-    found = 0
+    drawn, found = [], 0
     for _ in range(arguments.count):
         panorama = np.asarray(Image.open(paths[rng.integers(len(paths))]).convert("RGB"))
         picture, camera = draw(panorama, rng)
-        with mock.patch.object(one_call, "find_image_circle", return_value=None):
-            errors["circle not looked for"].append(angle_error_deg(rectifier.estimate(picture).camera, camera))
-        errors["circle alone"].append(angle_error_deg(rectifier.estimate(picture, refine=False).camera, camera))
-        estimate = rectifier.estimate(picture)
-        errors["one call"].append(angle_error_deg(estimate.camera, camera))
-        found += estimate.image_circle is not None
+        drawn.append(errors_deg(rectifier, picture, camera))
+        found += find_image_circle(picture) is not None
     print(f"Circle found in {found} of {arguments.count}.\n")
     print("| | median, degrees | mean | 90 % below |\n|---|---|---|---|")
-    for name, values in errors.items():
+    for name, values in zip(CONTENDERS, np.transpose(drawn), strict=True):
         print(f"| {name} | {np.median(values):.2f} | {np.mean(values):.2f} | {np.quantile(values, 0.9):.2f} |")
+    for photo, lens in arguments.photo:
+        picture = np.asarray(Image.open(photo).convert("RGB"))
+        errors = errors_deg(rectifier, picture, fr.FisheyeCamera.load(lens))
+        print(f"\n{photo.name}:", ", ".join(f"{n} {e:.2f}" for n, e in zip(CONTENDERS, errors, strict=True)))
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .network import FishEyeRecNet
     from .rectification import DistortionRectification, Rectification, distort, rectify, resample
     from .rectifier import PhotoEstimate, PhotoRectification, Rectifier
-    from .views import view_for, view_rotation
+    from .views import load_view, view_for, view_rotation
     from .wide_views import CylindricalView, EquirectangularView, PaniniView, StereographicView
 
 _HOME = {
@@ -39,6 +39,7 @@ _HOME = {
     "rectify_sample": "annotations",
     "resample": "rectification",
     "backend_for": "_ops",
+    "load_view": "views",
     "view_for": "views",
     "view_rotation": "views",
 }
@@ -60,6 +61,7 @@ __all__ = [
     "backend_for",
     "distort",
     "distort_sample",
+    "load_view",
     "rectify",
     "rectify_sample",
     "resample",

@@ -219,18 +219,19 @@ class BlindRectifier:
             return self.rectifier().estimate(frame, refine=self.refine)
 
         found = pool([estimate(frame) for frame in video.sample_frames(source)])
+        camera = found.camera.resize(video.frame_size(source))  # of pixels as they are stored, square or not
         if not found.distorted:
             video.copy_video(source, target)
-            return FileReport(found.camera, None, f"as it was, {describe(found)}")
+            return FileReport(camera, None, f"as it was, {describe(found)}")
         height, width = found.camera.image_size
         options = replace(self.options, size=self.options.size or (height - height % 2, width - width % 2))
         view = options.view_of(found.camera_to_view(options.mode, options.balance))
         rotation = options.rotation()
         result = video.rectify_video(
-            source, target, found.camera, view, rotation=rotation, quality=self.quality, on_frame=on_frame
+            source, target, camera, view, rotation=rotation, quality=self.quality, on_frame=on_frame
         )
         summary = f"{_describe(view)}, {result.summary}, {describe(found)}"
-        return FileReport(found.camera, view, summary, result.complaint)
+        return FileReport(camera, view, summary, result.complaint)
 
     def rectifier(self) -> Rectifier:
         """Load the network, the first time.
@@ -278,6 +279,13 @@ def describe(estimate: PhotoEstimate) -> str:
 def describe_camera(camera: Camera) -> str:
     """Tell the parameters of a camera, each after its name."""
     return ", ".join(f"{name} {value:.6g}" for name, value in zip(camera.parameter_names, camera.params, strict=True))
+
+
+def describe_fit(camera: Camera) -> str | None:
+    """Tell how far a camera is from the lens of another model that it was fitted to; None where it was not."""
+    if not isinstance(camera, FisheyeCamera) or camera.fitted_to is None:
+        return None
+    return f"fitted to {camera.fitted_to}: {camera.fit_rms_px:.2g} px RMS, {camera.fit_error_px:.2g} px at most"
 
 
 def _describe(view: Camera) -> str:

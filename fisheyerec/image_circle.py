@@ -17,12 +17,16 @@ from .sightlines import Pieces
 
 # Grey levels of 255, in the brightest channel, of the surround: noise and compression leave it so far above its
 # corners, and at most so bright.
-_ABOVE_CORNERS, _BLACK = 8, 64
+_ABOVE_CORNERS, _BLACK = 16, 80
 _FEWEST_POINTS = 60  # of the border, on the circle
-_ROUNDS = 10
-_TOLERANCE = 0.012  # of the radius, from the circle
-# The least share of the border that lies on the circle, and of the circle, counted in sectors, that is border.
-_ON_CIRCLE, _LEAST_TURN, _SECTORS = 0.85, 0.2, 72
+# Of the radius: how far border points may lie from the circle, from its first guess to the last. Dark things at the rim
+# belong to the surround, so that parts of the border lie within.
+_TOLERANCES = (0.1, 0.05, 0.03, *[0.015] * 6)
+# How much of what lies outside is black, how much of the circle within the frame is border, and how much of the whole
+# circle that is, the last two counted in sectors.
+_BLACK_OUTSIDE, _ON_CIRCLE, _LEAST_TURN, _SECTORS = 0.9, 0.6, 0.15, 90
+_DIRECTIONS = 720
+_CORNERS_PER_SIDE = 24  # how often a corner's square fits along the frame's shorter side
 _SMALLEST, _LARGEST = 0.3, 1.0  # radius, of the frame's shorter and longer side
 
 # Lenses with an image circle are sold with 180 to 190 degrees, rarely with 160 or 220.
@@ -86,29 +90,25 @@ def find_image_circle(image: np.ndarray) -> ImageCircle | None:
     Returns:
         The circle, or None where the picture fills its frame or what is black has another shape.
     """
-    brightest = cv2.GaussianBlur(image, (3, 3), 0).max(-1)
-    corners = brightest[[0, 0, -1, -1], [0, -1, 0, -1]]
-    level = int(corners.max()) + _ABOVE_CORNERS
+    brightest = cv2.GaussianBlur(image, (5, 5), 0).max(-1)
+    side = max(1, min(brightest.shape) // _CORNERS_PER_SIDE)
+    ends = (slice(side), slice(-side, None))
+    corners = [(rows, columns) for rows in ends for columns in ends]
+    level = max(float(np.median(brightest[corner])) for corner in corners) + _ABOVE_CORNERS
     if level > _BLACK:
         return None
-    _, dark = cv2.connectedComponents((brightest <= level).astype(np.uint8), connectivity=4)
-    surround = np.isin(dark, dark[[0, 0, -1, -1], [0, -1, 0, -1]])
-    _, bright, areas, _ = cv2.connectedComponentsWithStats((~surround).astype(np.uint8), connectivity=4)
-    # The largest piece of what is not surround: others are dates and names written into corners.
-    border = _border(bright == 1 + areas[1:, cv2.CC_STAT_AREA].argmax()) if len(areas) > 1 else np.zeros((0, 2))
+    black = brightest <= level
+    _, regions = cv2.connectedComponents(black.astype(np.uint8), connectivity=4)
+    surround = black & np.isin(regions, [regions[corner] for corner in corners])
+    border = _outer_border(surround)
     near = np.ones(len(border), dtype=bool)
-    for _ in range(_ROUNDS):
+    for tolerance in _TOLERANCES:
         if near.sum() < _FEWEST_POINTS:
             return None
         circle = _fit(border[near])
         distances = np.hypot(border[:, 0] - circle.x, border[:, 1] - circle.y)
-        near = np.abs(distances - circle.radius) <= max(1.0, _TOLERANCE * circle.radius)
-    turns = np.arctan2(border[near, 1] - circle.y, border[near, 0] - circle.x) / (2 * math.pi)
-    sectors = np.unique(np.floor(turns * _SECTORS) % _SECTORS)
-    is_circle = near.mean() >= _ON_CIRCLE and len(sectors) >= _LEAST_TURN * _SECTORS
-    height, width = brightest.shape
-    sides = sorted((height, width))
-    return circle if is_circle and _SMALLEST * sides[0] <= circle.radius <= _LARGEST * sides[1] else None
+        near = np.abs(distances - circle.radius) <= max(1.0, tolerance * circle.radius)
+    return circle if _is_convincing(circle, border[near], black) else None
 
 
 def prior_within(circle: ImageCircle) -> Prior:
@@ -138,11 +138,40 @@ def pieces_within(pieces: Pieces, circle: ImageCircle) -> Pieces:
     return Pieces(kept.points - circle.inscribed[:2], kept.starts)
 
 
-def _border(region: np.ndarray) -> np.ndarray:
-    """Points (N, 2) between pixels of a region and others."""
-    right, below = np.argwhere(region[:, 1:] != region[:, :-1]), np.argwhere(region[1:] != region[:-1])
+def _is_convincing(circle: ImageCircle, border: np.ndarray, black: np.ndarray) -> bool:
+    height, width = black.shape
+    if not _SMALLEST * min(height, width) <= circle.radius <= _LARGEST * max(height, width):
+        return False
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
+    if black[~circle.contains(pixels, 1 + _TOLERANCES[-1])].mean() < _BLACK_OUTSIDE:
+        return False
+    turns = np.arctan2(border[:, 1] - circle.y, border[:, 0] - circle.x) / (2 * math.pi)
+    on_border = np.zeros(_SECTORS, dtype=bool)
+    on_border[(np.floor(turns * _SECTORS) % _SECTORS).astype(int)] = True
+    middles = 2 * math.pi * (np.arange(_SECTORS) + 1 / 2) / _SECTORS
+    x, y = circle.x + circle.radius * np.cos(middles), circle.y + circle.radius * np.sin(middles)
+    within = (x > 0) & (x < width - 1) & (y > 0) & (y < height - 1)
+    return bool(within.mean() >= _LEAST_TURN and (on_border & within).sum() >= _ON_CIRCLE * within.sum())
+
+
+def _outer_border(surround: np.ndarray) -> np.ndarray:
+    """Points (N, 2) where the largest thing within a surround begins, in all directions from the frame's middle.
+
+    Dates and names written into corners are smaller things; black things at the rim belong to the surround.
+    """
+    _, regions, statistics, _ = cv2.connectedComponentsWithStats((~surround).astype(np.uint8), connectivity=4)
+    if len(statistics) == 1:
+        return np.zeros((0, 2))
+    thing = regions == 1 + statistics[1:, cv2.CC_STAT_AREA].argmax()
+    right, below = np.argwhere(thing[:, 1:] != thing[:, :-1]), np.argwhere(thing[1:] != thing[:-1])
     between = pixel.HALF_PIXEL
-    return np.concatenate([right[:, ::-1] + (between, 0), below[:, ::-1] + (0, between)])
+    points = np.concatenate([right[:, ::-1] + (between, 0), below[:, ::-1] + (0, between)])
+    middle = np.array([pixel.centre(side) for side in surround.shape[::-1]])
+    away = points - middle
+    direction = np.floor(np.arctan2(away[:, 1], away[:, 0]) / (2 * math.pi) * _DIRECTIONS).astype(int)
+    order = np.lexsort((-np.hypot(away[:, 0], away[:, 1]), direction))
+    _, first = np.unique(direction[order], return_index=True)
+    return np.asarray(points[order[first]])
 
 
 def _fit(points: np.ndarray) -> ImageCircle:

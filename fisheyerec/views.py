@@ -7,12 +7,14 @@ a figure without holes: a rectangle whose border shows the picture shows nothing
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from . import pixel
+from .camera_files import read_camera_file
 from .cameras import Camera, FisheyeCamera, PinholeCamera, is_tensor
 from .wide_views import CylindricalView, EquirectangularView, PaniniView, StereographicView
 
@@ -29,6 +31,10 @@ WIDE_PROJECTIONS: dict[str, tuple[Callable[[float, tuple[int, int]], Camera], fl
     "panini": (PaniniView.from_fov, 160),
 }
 PROJECTIONS = ("pinhole", *WIDE_PROJECTIONS)
+
+_VIEWS: dict[str, type[Camera]] = {
+    kind.model: kind for kind in (PinholeCamera, CylindricalView, EquirectangularView, StereographicView, PaniniView)
+}
 
 
 def view_for(
@@ -83,6 +89,24 @@ def view_for(
     if mode is not None and mode not in MODES:
         raise ValueError(f"view_for(): expected mode in {tuple(MODES)}, got {mode!r}")
     return MODES[mode or "edge_matched"](camera, image_size)
+
+
+def load_view(path: str | os.PathLike[str], *, image_size: tuple[int, int] | None = None) -> Camera:
+    """Read a view from a camera file: a pinhole of any format, or one of `PROJECTIONS` that its `save` wrote.
+
+    Args:
+        path: the file.
+        image_size: (height, width), needed where the format does not hold it.
+
+    Raises:
+        ValueError: the file is no camera file, or holds a lens.
+        OSError: the file cannot be read.
+    """
+    file = read_camera_file(path, image_size=image_size)
+    kind = _VIEWS.get(file.model)
+    if kind is None:
+        raise ValueError(f"load_view(): expected a view, {', '.join(_VIEWS)}, in {os.fspath(path)!r}, got {file.model}")
+    return kind(np.array(file.params), (file.height, file.width))
 
 
 def edge_matched(camera: FisheyeCamera, image_size: tuple[int, int]) -> PinholeCamera:

@@ -7,26 +7,43 @@ all have the scale of a pinhole of the same focal lengths. Equations: csrc/geome
 from __future__ import annotations
 
 import math
-from typing import Self
+from typing import ClassVar, Self
 
 from . import pixel
 from .cameras import Camera, checked_image_size
 
 
 class _WideView(Camera):
-    """What these views share: square pixels from a field of view."""
+    """What these views share: a field of view, from where their right edge lies on the plane of focal length 1."""
+
+    _holds_widest: ClassVar[bool] = True
+
+    @classmethod
+    def from_fov(cls, fov_deg: float, image_size: tuple[int, int]) -> Self:
+        """Give a centred view that is fov_deg wide, edge to edge, with pixels that are square in its middle.
+
+        Raises:
+            ValueError: fov_deg outside (0, 360], of a stereographic view (0, 360).
+        """
+        half_fov = cls._checked_half_fov(fov_deg, 360, holds_widest=cls._holds_widest)
+        return cls._from_half_width(cls._half_width(half_fov), image_size)
+
+    @staticmethod
+    def _half_width(half_fov: float) -> float:
+        """Where the right edge lies; columns are angles unless a view says otherwise."""
+        return half_fov
 
     @classmethod
     def _from_half_width(cls, half_width: float, image_size: tuple[int, int], *more: float) -> Self:
-        """The centred view whose right edge lies at u = half_width on the plane of focal length 1."""
         height, width = checked_image_size(cls, image_size)
         focal = width / 2 / half_width
         return cls([focal, focal, pixel.centre(width), pixel.centre(height), *more], image_size)
 
     @classmethod
-    def _checked_half_fov(cls, fov_deg: float, widest_deg: float, end: str) -> float:
-        """Half of fov_deg in radians; `end` is the bracket that closes its range, "]" or ")"."""
-        if not (0 < fov_deg < widest_deg or (end == "]" and fov_deg == widest_deg)):
+    def _checked_half_fov(cls, fov_deg: float, widest_deg: float, *, holds_widest: bool) -> float:
+        """Half of fov_deg in radians."""
+        if not (0 < fov_deg < widest_deg or (holds_widest and fov_deg == widest_deg)):
+            end = "]" if holds_widest else ")"
             raise ValueError(f"{cls.__name__}.from_fov(): expected fov_deg in (0, {widest_deg:g}{end}, got {fov_deg:g}")
         return math.radians(fov_deg) / 2
 
@@ -44,15 +61,6 @@ class CylindricalView(_WideView):
     model = "cylindrical"
     parameter_names = ("fx", "fy", "cx", "cy")
 
-    @classmethod
-    def from_fov(cls, fov_deg: float, image_size: tuple[int, int]) -> Self:
-        """Give a centred view that is fov_deg wide, edge to edge, with pixels that are square in its middle.
-
-        Raises:
-            ValueError: fov_deg outside (0, 360].
-        """
-        return cls._from_half_width(cls._checked_half_fov(fov_deg, 360, "]"), image_size)
-
 
 class EquirectangularView(_WideView):
     """A view whose columns are longitudes and rows latitudes, the format of panoramas.
@@ -68,15 +76,6 @@ class EquirectangularView(_WideView):
     model = "equirectangular"
     parameter_names = ("fx", "fy", "cx", "cy")
 
-    @classmethod
-    def from_fov(cls, fov_deg: float, image_size: tuple[int, int]) -> Self:
-        """Give a centred view that is fov_deg wide, edge to edge, of as many pixels a degree up as across.
-
-        Raises:
-            ValueError: fov_deg outside (0, 360].
-        """
-        return cls._from_half_width(cls._checked_half_fov(fov_deg, 360, "]"), image_size)
-
 
 class StereographicView(_WideView):
     """The view that keeps every small shape: r = 2 f tan(theta / 2) from the principal point.
@@ -90,15 +89,11 @@ class StereographicView(_WideView):
 
     model = "stereographic"
     parameter_names = ("fx", "fy", "cx", "cy")
+    _holds_widest = False
 
-    @classmethod
-    def from_fov(cls, fov_deg: float, image_size: tuple[int, int]) -> Self:
-        """Give a centred view with square pixels that is fov_deg wide, edge to edge.
-
-        Raises:
-            ValueError: fov_deg outside (0, 360).
-        """
-        return cls._from_half_width(2 * math.tan(cls._checked_half_fov(fov_deg, 360, ")") / 2), image_size)
+    @staticmethod
+    def _half_width(half_fov: float) -> float:
+        return 2 * math.tan(half_fov / 2)
 
 
 class PaniniView(_WideView):
@@ -130,6 +125,6 @@ class PaniniView(_WideView):
         """
         if not 0 <= distance <= 1:
             raise ValueError(f"{cls.__name__}.from_fov(): expected distance in [0, 1], got {distance:g}")
-        longitude = cls._checked_half_fov(fov_deg, math.degrees(2 * math.acos(-distance)), ")")
+        longitude = cls._checked_half_fov(fov_deg, math.degrees(2 * math.acos(-distance)), holds_widest=False)
         half_width = (distance + 1) * math.sin(longitude) / (distance + math.cos(longitude))
         return cls._from_half_width(half_width, image_size, distance)

@@ -232,3 +232,39 @@ def run_python(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]
 def hears_ctrl_c() -> Callable[[], object]:
     """For `preexec_fn` of a process that is to be interrupted: shells start their background jobs deaf to it."""
     return lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+@pytest.fixture(scope="session")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A second of a drawn scene that pans, with a tone, as MP4."""
+    pytest.importorskip("av", reason="PyAV is not installed")
+    import clips
+
+    path = tmp_path_factory.mktemp("clips") / "clip.mp4"
+    clips.make_clip(path)
+    return path
+
+
+# --- Training -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def one_thread(threads: Callable[[int], None]) -> None:
+    """Torch computes with one thread, so that runs are the same to the last bit."""
+    threads(1)
+
+
+@pytest.fixture
+def tiny_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever network training asks for is a tiny one."""
+    import tiny_training
+
+    monkeypatch.setattr(fr.FishEyeRecNet, "from_design", staticmethod(tiny_training.tiny))
+
+
+@pytest.fixture
+def batch() -> Any:
+    """Eight pairs with their straight pictures; two have no labels."""
+    import tiny_training
+
+    return tiny_training.draw_batch()

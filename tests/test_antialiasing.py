@@ -215,7 +215,19 @@ def test_layers_average_and_say_so():
     expected = fr.rectify(image, CAMERA, VIEW.resize((36, 48)), antialias=True).image
     torch.testing.assert_close(layer(image), expected, rtol=0, atol=0)
     assert "antialias=True" in repr(layer)
-    torch.testing.assert_close(torch.compile(layer, backend="eager")(image), expected, rtol=0, atol=0)
+
+
+def test_averaging_breaks_the_graph_and_leaves_other_layers_whole():
+    torch.compiler.reset()
+    image = torch.rand(1, 1, 48, 64, generator=torch.Generator().manual_seed(0))
+    camera, view = CAMERA.resize((48, 64)), VIEW.resize((12, 16))
+    averaging = fr.DistortionRectification(view, camera=camera, antialias=True)
+    torch.testing.assert_close(torch.compile(averaging, backend="eager")(image), averaging(image), rtol=0, atol=0)
+    # Compiled after it, for another size, a batch is a symbol that must be found equal to the batch of lenses.
+    plain, pictures = fr.DistortionRectification(view), torch.rand(2, 3, 24, 32)
+    params = torch.as_tensor(CAMERA.resize((24, 32)).params).repeat(2, 1)
+    compiled = torch.compile(plain, backend="eager", fullgraph=True)
+    torch.testing.assert_close(compiled(pictures, params), plain(pictures, params), rtol=0, atol=0)
 
 
 def test_tensors_of_labels_are_never_averaged():

@@ -6,11 +6,13 @@ import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import fisheyerec as fr
 from fisheyerec.camera_files import WRITERS
 from fisheyerec.cameras import MAX_FIT_ERROR_PX, load_camera
+from fisheyerec.pictures import Picture, write_picture
 
 DOUBLE_SPHERE = """\
 cam0:
@@ -36,9 +38,13 @@ D: !!opencv-matrix { rows: 4, cols: 1, dt: d, data: [ 0.125, -0.0625, 1e-05, -0.
 """
 
 
+def command(*arguments):
+    words = [sys.executable, "-P", "-m", "fisheyerec.cli", *map(str, arguments)]
+    return subprocess.run(words, capture_output=True, text=True, timeout=60)
+
+
 def convert(*arguments):
-    command = [sys.executable, "-P", "-m", "fisheyerec.cli", "convert", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+    return command("convert", *arguments)
 
 
 @pytest.fixture
@@ -83,6 +89,23 @@ def test_a_worse_fit_is_taken_where_the_user_says_so(tmp_path):
     taken = convert(tmp_path / "ros.yaml", "-o", tmp_path / "out.json", "--max-fit-error-px", "3")
     assert taken.returncode == 0, taken.stderr
     assert "fitted to brown_conrady: 0.53 px RMS, 2.3 px at most" in taken.stdout
+
+
+def test_rectify_tells_the_fit_as_well(tmp_path):
+    write_picture(tmp_path / "in.png", Picture(np.zeros((480, 640, 3), np.uint8)))
+    (tmp_path / "ros.yaml").write_text(RATIONAL)
+    arguments = [tmp_path / "in.png", "-o", tmp_path / "out.png", "--camera", tmp_path / "ros.yaml", "--size", "64x48"]
+    refused = command("rectify", *arguments)
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert refused.stderr.endswith("0.528 px RMS: allow more, or calibrate with cv2.fisheye\n")
+    taken = command("rectify", *arguments, "--max-fit-error-px", "3")
+    assert taken.returncode == 0, taken.stderr
+    first, second = taken.stdout.splitlines()
+    assert first == f"{tmp_path / 'ros.yaml'}: fitted to brown_conrady: 0.53 px RMS, 2.3 px at most"
+    assert second.startswith(f"{tmp_path / 'out.png'}: 64x48, ")
+    fr.FisheyeCamera.load(tmp_path / "ros.yaml", max_fit_error_px=3).save(tmp_path / "lens.json")
+    plain = command("rectify", *arguments[:3], "--camera", tmp_path / "lens.json", "--overwrite")
+    assert (plain.returncode, len(plain.stdout.splitlines())) == (0, 1), plain.stderr
 
 
 # What is written into camera.yaml, the options, and what the one line says.

@@ -372,7 +372,7 @@ class PageUser:
         self.browser, self.address, self.downloads = browser, address, downloads
         # What is not there yet, or is being drawn anew, is tried again.
         unready = (IndexError, exceptions.StaleElementReferenceException, exceptions.ElementNotInteractableException)
-        unready += (exceptions.ElementClickInterceptedException,)
+        unready += (exceptions.ElementClickInterceptedException, OSError)  # Gradio writes equal pictures once more
         self.wait = WebDriverWait(browser, PATIENCE, poll_frequency=0.1, ignored_exceptions=unready)
 
     def open(self, query=""):
@@ -403,11 +403,12 @@ class PageUser:
         return self.pixels()
 
     def pixels(self):
-        found = []
-        for source in self.pictures():
-            with urllib.request.urlopen(source, timeout=PATIENCE) as stream:
-                found.append(np.asarray(Image.open(stream).convert("RGB")))
-        return found
+        """The pictures before and after."""
+        return self.until(lambda: [self.fetch(source) for source in self.pictures()])
+
+    def fetch(self, source):
+        with urllib.request.urlopen(source, timeout=PATIENCE) as stream:
+            return np.asarray(Image.open(stream).convert("RGB"))
 
     def upload(self, selector, path):
         self.until(lambda: self.all(f"{selector} input[type=file]")[0].send_keys(str(path)) or True)

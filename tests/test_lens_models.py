@@ -12,7 +12,7 @@ import pytest
 import fisheyerec as fr
 from fisheyerec import lens_models
 from fisheyerec.camera_files import read_camera_file
-from fisheyerec.camera_files.record import PARAMETERS
+from fisheyerec.camera_files.record import HOUSE_MODELS, PARAMETERS
 
 SIZE = (480, 640)
 K = (301.5, 302.25, 319.75, 240.5)
@@ -131,7 +131,7 @@ def other(request):
 
 
 def test_every_model_a_file_may_hold_is_converted_or_the_houses_own():
-    assert set(PARAMETERS) == {*lens_models.MODELS, "kannala_brandt", "pinhole"}
+    assert set(PARAMETERS) == {*lens_models.MODELS, *HOUSE_MODELS}
     assert {model for model, _, _ in LENSES.values()} | {"ocam"} == set(lens_models.MODELS)
 
 
@@ -285,7 +285,7 @@ def test_cameras_that_were_not_fitted_tell_no_error(tmp_path):
     camera = fr.FisheyeCamera.from_model(*LENSES["double_sphere"][:2], SIZE)
     camera.save(tmp_path / "camera.json")
     again = fr.FisheyeCamera.load(tmp_path / "camera.json")
-    assert (again.fit_error_px, again.fit_rms_px) == (None, None)
+    assert (again.fit_error_px, again.fit_rms_px, again.fitted_to) == (None, None, None)
     np.testing.assert_array_equal(again.params, camera.params)
 
 
@@ -348,12 +348,13 @@ def test_load_refuses_above_the_threshold_in_one_line():
     path = CAMERA_FILES / "kalibr" / "RadTan.yml"
     message = (
         f"FisheyeCamera.load(): {str(path)!r}: expected a brown_conrady lens that kannala_brandt fits within 0.5 px "
-        "(max_fit_error_px), got 0.753 px at most and 0.183 px RMS"
+        "(max_fit_error_px), got 0.753 px at most and 0.183 px RMS: allow more, or calibrate with cv2.fisheye"
     )
     with pytest.raises(ValueError, match=re.escape(message)) as caught:
         fr.FisheyeCamera.load(path, max_fit_error_px=0.5)
     assert len(str(caught.value).splitlines()) == 1
-    assert fr.FisheyeCamera.load(path, max_fit_error_px=0.8).fit_error_px > 0.5
+    taken = fr.FisheyeCamera.load(path, max_fit_error_px=0.8)
+    assert (taken.fitted_to, taken.fit_error_px > 0.5) == ("brown_conrady", True)
 
 
 @needs_camera_files

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,18 @@ import fisheyerec as fr
 from fisheyerec import rectifier as module
 from fisheyerec.cli import app
 from fisheyerec.cli.estimate import _json_line
-from fisheyerec.lens_chart import SIZE, camera_from_chart, chart_from_camera
+from fisheyerec.lens_chart import SIZE, camera_from_chart, chart_from_camera, chart_of
 from fisheyerec.network import FishEyeRecNet
 from fisheyerec.pictures import Picture, read_picture, write_picture
 from fisheyerec.rectifier import Rectifier
+from fisheyerec.views import PROJECTIONS
 from fisheyerec.weights import save_network
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+sys.path.insert(0, str(EXAMPLES))
+
+import scenes  # noqa: E402  beside the package
+
 ROOM = EXAMPLES / "room.jpg"
 SIZES = [(256, 256), (768, 1024), (1024, 768), (480, 640), (270, 480), (333, 500), (101, 640), (64, 64), (16, 16)]
 
@@ -283,6 +289,43 @@ def test_a_mode_of_view_for_and_a_rotation_are_taken(told, rotation):
     np.testing.assert_array_equal(result.view.params, view.params)
     expected = fr.numpy.rectify(photo, result.camera, view, rotation=rotation).image
     np.testing.assert_array_equal(result.image, expected)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """A room seen through a lens of 150 degrees, and a network that knows the lens."""
+    camera = fr.FisheyeCamera.from_projection("equisolid", 150, (192, 256))
+    network = Told.compact().eval()
+    network.chart = torch.from_numpy(chart_of(camera))
+    scene = scenes.room(seed=1)
+    return scene, scenes.render_camera(scene, camera.unproject, camera.image_size, supersample=1).image, network
+
+
+@pytest.mark.parametrize(
+    ("projection", "fov_deg"), [*((projection, None) for projection in PROJECTIONS), ("cylindrical", 120)]
+)
+def test_every_projection_shows_the_scene_as_such_a_camera_would(drawn, projection, fov_deg):
+    """Drawn through the view itself, without a fisheye in between, which the op knows nothing of."""
+    scene, photo, network = drawn
+    result = Rectifier(network)(photo, projection=projection, fov_deg=fov_deg, size=(90, 120), refine=False)
+    assert result.distorted
+    assert (result.view.model, result.view.image_size) == (projection, (90, 120))
+    expected_view = fr.view_for(result.camera, (90, 120), projection=projection, fov_deg=fov_deg)
+    np.testing.assert_array_equal(result.view.params, expected_view.params)
+
+    rays, exists = result.view.unproject(np.stack(np.meshgrid(np.arange(120), np.arange(90)), -1))
+    points, seen = result.camera.project(rays)
+    inside = (points > -0.5) & (points < np.array([255.5, 191.5]))
+    np.testing.assert_array_equal(result.valid, exists & seen & inside.all(-1))
+    assert 0.5 < result.valid.mean() <= 1
+    near = ((points > -1) & (points < np.array([256, 192]))).all(-1)  # a pixel beyond, zero padding has faded out
+    assert (result.image[~near] == 0).all()
+    if fov_deg is None:  # as wide as the lens sees between its edges, or less
+        assert result.valid[45].all()
+
+    sharp = scenes.render_camera(scene, result.view.unproject, (90, 120), supersample=1).image
+    error = np.square(result.image.astype(float) - sharp)[result.valid].mean()
+    assert error < 500  # what another projection shows of the scene is off by 2400 and more
 
 
 # --- What is known of the result ------------------------------------------------------------------

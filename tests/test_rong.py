@@ -13,6 +13,7 @@ from torch.nn import functional
 import fisheyerec as fr
 from fisheyerec import lens_chart
 from fisheyerec.baselines import rong
+from fisheyerec.baselines.division import DivisionModel
 from fisheyerec.network import LensClasses
 from fisheyerec.weights import save_network
 
@@ -65,12 +66,20 @@ def test_a_division_model_is_a_stereographic_lens():
 
 def test_the_fit_error_is_the_distance_between_both_models():
     camera = rong.camera_from_division(0.1, (256, 256))
-    r = np.linspace(0.001, 1, 400)
-    tan = r / (1 + 0.1 * r**2) * math.sqrt(2) * (1 + 0.1 / 2)  # 1 at the side
+    points = np.stack(np.meshgrid(np.linspace(-0.5, 255.5, 65), np.linspace(-0.5, 255.5, 65)), -1)
+    q = (points - 127.5) / (128 * math.sqrt(2))
+    tan = q / (1 + 0.1 * (q**2).sum(-1, keepdims=True)) * math.sqrt(2) * (1 + 0.1 / 2)  # 1 at the side
     side = math.exp(lens_chart.population()[0][lens_chart.FIELD_OF_VIEW])
-    rays = np.stack([side * tan, 0 * tan, np.ones_like(tan)], -1)
-    there = camera.project(rays)[0][:, 0] - 127.5
-    assert camera.fit_error_px == pytest.approx(np.abs(there - 128 * math.sqrt(2) * r).max(), rel=1e-2)
+    there, valid = camera.project(np.concatenate([side * tan, np.ones_like(tan[..., :1])], -1))
+    assert valid.all()
+    assert camera.fit_error_px == pytest.approx(np.linalg.norm(there - points, axis=-1).max(), rel=1e-6)
+
+
+@pytest.mark.parametrize("coefficient", [-0.2, -0.5])
+def test_a_division_model_is_the_same_camera_in_either_words(coefficient):
+    ours = rong.camera_from_division(coefficient, (256, 256))
+    model = DivisionModel(np.zeros(2), math.sqrt(-coefficient)).camera((256, 256))
+    np.testing.assert_allclose(ours.params, model.params, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("coefficient", [-1.0, -2.0, math.nan, math.inf])
@@ -201,7 +210,7 @@ def test_the_estimate_is_a_camera_of_the_picture(weights, size):
     camera = rong.estimate(picture, network)
     assert camera.image_size == size
     assert np.isfinite(camera.params).all()
-    np.testing.assert_allclose(camera.params[2:4], (np.array(size[::-1]) - 1) / 2)
+    np.testing.assert_allclose(camera.params[2:4], (np.array(size[::-1]) - 1) / 2, atol=1e-9)
     assert camera.fit_error_px < 2e-4 * max(size)
 
 

@@ -8,6 +8,7 @@ import torch
 
 import fisheyerec as fr
 from fisheyerec import reference
+from fisheyerec.camera_files import WRITERS
 
 SIZE = (60, 100)
 VIEWS = {
@@ -120,6 +121,44 @@ def test_scaling_and_cropping_keep_the_rays(view):
     np.testing.assert_allclose(view.crop(3, 4, (20, 20)).unproject(points - [3, 4])[0], rays, atol=1e-12)
     scaled, _ = view.resize((2 * view.image_size[0], 2 * view.image_size[1])).unproject((points + 0.5) * 2 - 0.5)
     np.testing.assert_allclose(scaled, rays, atol=1e-12)
+
+
+# --- Files ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".json", ".yaml"])
+def test_a_view_comes_back_from_its_file(view, tmp_path, suffix):
+    path = tmp_path / f"view{suffix}"
+    view.save(path)
+    for again in (fr.load_view(path), type(view).load(path)):
+        assert (type(again), again.image_size) == (type(view), view.image_size)
+        np.testing.assert_array_equal(again.params, view.params)
+    with pytest.raises(ValueError, match=rf"FisheyeCamera\.load\(\): expected a kannala_brandt .*got {view.model}"):
+        fr.FisheyeCamera.load(path)
+
+
+def test_a_pinhole_is_a_view_and_a_lens_is_none(camera, tmp_path):
+    pinhole = fr.PinholeCamera.from_fov(90, SIZE)
+    pinhole.save(tmp_path / "pinhole.yml", format="opencv")
+    assert isinstance(fr.load_view(tmp_path / "pinhole.yml"), fr.PinholeCamera)
+    camera.save(tmp_path / "lens.json")
+    with pytest.raises(ValueError, match=r"load_view\(\): expected a view, pinhole, .*lens\.json', got kannala_brandt"):
+        fr.load_view(tmp_path / "lens.json")
+    with pytest.raises(OSError, match="No such file"):
+        fr.load_view(tmp_path / "none.json")
+
+
+@pytest.mark.parametrize("format", ["opencv", "kalibr", "colmap", "gyroflow", "ros"])
+def test_other_formats_hold_no_such_view(view, tmp_path, format):
+    path = tmp_path / f"view{WRITERS[format].suffixes[0]}"
+    with pytest.raises(ValueError, match=rf"model: expected one of kannala_brandt, pinhole, got {view.model}"):
+        view.save(path, format=format)
+    assert not path.exists()
+
+
+def test_a_distance_that_no_view_has_is_told(tmp_path):
+    with pytest.raises(ValueError, match=r"d: expected at least 0, got -0\.5"):
+        fr.PaniniView([30.0, 30, 4, 4, -0.5], SIZE).save(tmp_path / "view.json")
 
 
 # --- The op ---------------------------------------------------------------------------------------

@@ -62,7 +62,7 @@ class DivisionModel:
         return np.asarray(q / (1 - self.strength**2 * (q * q).sum(-1, keepdims=True)))
 
     def camera(self, image_size: tuple[int, int]) -> FisheyeCamera:
-        """Fit a Kannala-Brandt camera to the model, out to the farthest corner of the picture.
+        """Fit a Kannala-Brandt camera to the model, over the picture.
 
         No straightening tells the field of view. It is chosen as the stereographic lens has it, which is the same
         model and sees on beyond 90 degrees; a weaker distortion than that of a focal length of two half diagonals is
@@ -74,27 +74,28 @@ class DivisionModel:
         Returns:
             The camera; its `fit_error_px` is the largest distance between both within the picture.
         """
-        height, width = image_size
         unit = half_diagonal(image_size)
-        corners = np.array([(x * width, y * height) for x in (-1, 1) for y in (-1, 1)]) / (2 * unit)
-        farthest = float(np.linalg.norm(corners - self.centre, axis=-1).max())
-        focal, m2 = min(_WIDEST_FOCAL, 1 / (2 * self.strength)), self.strength**2
+        focal = min(_WIDEST_FOCAL, 1 / (2 * self.strength))
+        x, y = self.centre * unit + (pixel.centre(image_size[1]), pixel.centre(image_size[0]))
+        return camera_of_division(focal * unit, (x, y), -((self.strength * focal) ** 2), image_size)
 
-        def theta_of(r: np.ndarray) -> np.ndarray:
-            return np.asarray(np.arctan2(r, focal * (1 - m2 * r * r)))
 
-        # The unknowns are f and f k_i; nodes crowd where a polynomial errs most.
-        r = farthest * np.sin(np.linspace(0, np.pi / 2, 200))
-        widest = float(theta_of(np.array(farthest)))
-        exponents = 2 * np.arange(5) + 1
-        scaled = np.linalg.lstsq((theta_of(r)[:, None] / widest) ** exponents, r, rcond=None)[0]
-        f, *fk = scaled / widest**exponents
-        x, y = self.centre * unit + (pixel.centre(width), pixel.centre(height))
-        camera = FisheyeCamera([f * unit, f * unit, x, y, *(k / f for k in fk)], image_size)
-        r = np.linspace(0, farthest, 1000)
-        fitted = (theta_of(r)[:, None] / widest) ** exponents @ scaled
-        camera.fit_error_px = float(np.abs(fitted - r).max() * unit)
-        return camera
+def camera_of_division(
+    focal: float, centre: tuple[float, float], coefficient: float, image_size: tuple[int, int]
+) -> FisheyeCamera:
+    """Fit a Kannala-Brandt camera to tan(theta) = x / (1 + coefficient x^2), x = r / focal, over the whole picture.
+
+    Args:
+        focal: in pixels.
+        centre: (x, y) in pixels.
+        coefficient: of a pincushion distortion where it is positive.
+        image_size: (height, width).
+
+    Returns:
+        The camera, however far from the model; `fit_error_px` tells the largest distance.
+    """
+    params = [focal, focal, *centre, coefficient]
+    return FisheyeCamera.from_model("division", params, image_size, max_fit_error_px=math.inf)
 
 
 def clipped(strengths: np.ndarray) -> np.ndarray:

@@ -38,12 +38,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from .. import lens_chart
+from .. import lens_chart, pixel
 from ..cameras import FisheyeCamera, PinholeCamera
 from ..network import LensClasses, LensNetwork, NetworkOutput
 from ..rectification import rectify
 from ..rectifier import network_frame
 from ..weights import fill, read_tensors
+from .division import camera_of_division
 
 COEFFICIENTS = np.linspace(-0.65, 0.1, 51)
 """lambda of each class."""
@@ -98,36 +99,35 @@ def camera_from_division(coefficient: float, image_size: tuple[int, int]) -> Fis
         image_size: (height, width).
 
     Returns:
-        A camera whose `fit_error_px` is the largest distance between both models over that square.
+        A camera whose `fit_error_px` is the largest distance between both models within the picture.
 
     Raises:
         ValueError: another coefficient.
     """
     if not -1 < coefficient < math.inf:
         raise ValueError(f"camera_from_division(): expected a finite coefficient above -1, got {coefficient:g}")
-    exact = torch.tensor(coefficient, dtype=torch.float64)
-    params = lens_chart.camera_from_chart(chart_from_division(exact), image_size).numpy()
-    camera = FisheyeCamera(params, image_size)
-    r = torch.linspace(0, 1, 1001, dtype=torch.float64)
-    theta = _angle(r, exact).numpy()
-    theta_d = theta + sum(k * theta ** (2 * i + 3) for i, k in enumerate(params[4:]))
     half_diagonal = max(image_size) / math.sqrt(2)
-    camera.fit_error_px = float(np.abs(params[0] * theta_d - half_diagonal * r.numpy()).max())
-    return camera
+    focal = float(_focal(torch.tensor(coefficient, dtype=torch.float64)))
+    centre = (pixel.centre(image_size[1]), pixel.centre(image_size[0]))
+    return camera_of_division(focal * half_diagonal, centre, coefficient * focal**2, image_size)
 
 
 def _angle(r: Tensor, coefficient: Tensor) -> Tensor:
-    """theta(r) of a division model, whose field of view is chosen so that a Kannala-Brandt polynomial fits.
+    """theta(r) of a division model of the focal length that `_focal` chooses."""
+    return torch.atan(r / (1 + coefficient * r**2) / _focal(coefficient))
+
+
+def _focal(coefficient: Tensor) -> Tensor:
+    """The focal length of a division model, chosen so that a Kannala-Brandt polynomial fits.
 
     For lambda < 0 the model is, as tan(theta) = 2t / (1 - t^2) for t = tan(theta / 2), the stereographic lens
     tan(theta / 2) = sqrt(-lambda) r, which a polynomial of theta fits well. With the mean lens's field of view it would
     miss strong distortion by 20 px; lenses that bend less than the mean one have that.
     """
-    mean = lens_chart.angle_from_g(lens_chart.population()[0][lens_chart.FIELD_OF_VIEW]).to(r.device)
+    mean = lens_chart.angle_from_g(lens_chart.population()[0][lens_chart.FIELD_OF_VIEW]).to(coefficient.device)
     side = 2 * torch.atan((-coefficient / 2).clamp(min=0).sqrt())  # the stereographic lens's theta(R), r^2 = 1 / 2
-    r_u = r / (1 + coefficient * r**2)
     r_u_side = math.sqrt(2) / (2 + coefficient)
-    return torch.atan(torch.maximum(side, mean).tan() * r_u / r_u_side)
+    return r_u_side / torch.maximum(side, mean).tan()
 
 
 class RongNetwork(LensNetwork):

@@ -4,7 +4,8 @@ Every format is read into one plain record, `CameraFile`, in the house's order a
 (integer coordinates are pixel centres). Formats are told apart by what a file holds, not by its
 suffix. Nothing here knows about tensors or cameras, and PyYAML is imported only where YAML is met.
 
-Every reader may give a model that the house converts (`lens_models.py`); written are the house's two models alone.
+Every reader may give a model that the house converts (`lens_models.py`); written are fisheye lenses and pinholes, and
+in the house's own format its other views.
 A new format is one file of this folder and one row of each table below that it has a part in.
 """
 
@@ -27,7 +28,7 @@ from .house import house_text, parse_house
 from .kalibr import kalibr_cameras, kalibr_text, parse_kalibr
 from .ocamcalib import is_ocamcalib, parse_ocamcalib
 from .opencv import has_camera_matrix, opencv_text, parse_opencv, ros_text
-from .record import KANNALA_BRANDT, PINHOLE, CameraFile, Lens, checked, listed, other_model
+from .record import HOUSE_MODELS, KANNALA_BRANDT, PINHOLE, CameraFile, Lens, checked, listed, other_model
 
 __all__ = ["COLMAP_PIXEL_CENTRE", "WRITERS", "CameraFile", "read_camera_file", "write_camera_file"]
 
@@ -49,6 +50,7 @@ class _Reader(NamedTuple):
 class _Writer(NamedTuple):
     suffixes: tuple[str, ...]
     text: Callable[[CameraFile, str], str]
+    models: tuple[str, ...] = (KANNALA_BRANDT, PINHOLE)
 
 
 _TEXT_READERS = (_TextReader(is_colmap, parse_colmap), _TextReader(is_ocamcalib, parse_ocamcalib))
@@ -64,14 +66,14 @@ _READERS = (
 )
 
 WRITERS = {
-    "fisheyerec": _Writer((".json", ".yaml", ".yml"), house_text),
+    "fisheyerec": _Writer((".json", ".yaml", ".yml"), house_text, HOUSE_MODELS),
     "opencv": _Writer((".yml", ".yaml", ".json"), opencv_text),
     "kalibr": _Writer((".yaml", ".yml"), kalibr_text),
     "colmap": _Writer((".txt",), colmap_text),
     "gyroflow": _Writer((".json",), gyroflow_text),
     "ros": _Writer((".yaml", ".yml"), ros_text),
 }
-"""By the name of the format: the suffixes its files have, and the text of one."""
+"""By the name of the format: the suffixes its files have, the text of one, and the models it holds."""
 
 
 def read_camera_file(path: str | os.PathLike[str], *, image_size: tuple[int, int] | None = None) -> CameraFile:
@@ -95,19 +97,19 @@ def write_camera_file(path: str | os.PathLike[str], camera_file: CameraFile, *, 
     The file appears whole or not at all: an older file of that name stays until the new one is
     complete.
 
-    Raises ValueError for an unknown format, a suffix it does not have, a model other than kannala_brandt
-    and pinhole, or a record that makes no camera; RuntimeError if it is YAML and PyYAML is not installed;
-    OSError if the file cannot be written.
+    Raises ValueError for an unknown format, a suffix it does not have, a model that it cannot hold, or a
+    record that makes no camera; RuntimeError if it is YAML and PyYAML is not installed; OSError if the file
+    cannot be written.
     """
     with _named_errors("write_camera_file", path):
         if format not in WRITERS:
             raise ValueError(f"format: expected one of {', '.join(WRITERS)}, got {format!r}")
-        suffixes, text = WRITERS[format]
+        suffixes, text, models = WRITERS[format]
         suffix = Path(path).suffix.lower()
         if suffix not in suffixes:
             raise ValueError(f"suffix: expected {', '.join(suffixes)}, got {suffix!r}")
-        if camera_file.model not in (KANNALA_BRANDT, PINHOLE):
-            raise other_model(camera_file.model, (KANNALA_BRANDT, PINHOLE))
+        if camera_file.model not in models:
+            raise other_model(camera_file.model, models)
         written = text(checked(camera_file.model, camera_file.width, camera_file.height, camera_file.params), suffix)
     with replacement(path) as temporary:
         temporary.write_text(written, encoding="utf-8", newline="\n")

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from .entries import Section, json_text, yaml_text
-from .record import KANNALA_BRANDT, PARAMETERS, PINHOLE, CameraFile, Lens, other_model
-
-_MODELS = (KANNALA_BRANDT, PINHOLE)
+from .record import HOUSE_MODELS, PARAMETERS, CameraFile, Lens, other_model
 
 
 def parse_house(file: Section) -> Lens:
     """The house's own format; raises ValueError if it does not hold a camera."""
     model = file.text("model")
-    if model not in _MODELS:
-        raise other_model(model, _MODELS)
+    if model not in HOUSE_MODELS:
+        raise other_model(model, HOUSE_MODELS)
     size = file.number("width"), file.number("height")
     return Lens(model, size, [file.number(name) for name in PARAMETERS[model]])
 

@@ -12,6 +12,10 @@ from typing import Any, NamedTuple
 
 KANNALA_BRANDT = "kannala_brandt"
 PINHOLE = "pinhole"
+CYLINDRICAL = "cylindrical"
+EQUIRECTANGULAR = "equirectangular"
+STEREOGRAPHIC = "stereographic"
+PANINI = "panini"
 BROWN_CONRADY = "brown_conrady"
 UNIFIED = "unified"
 EXTENDED_UNIFIED = "extended_unified"
@@ -21,12 +25,19 @@ FIELD_OF_VIEW = "field_of_view"
 THIN_PRISM_FISHEYE = "thin_prism_fisheye"
 OCAM = "ocam"
 
+HOUSE_MODELS = (KANNALA_BRANDT, PINHOLE, CYLINDRICAL, EQUIRECTANGULAR, STEREOGRAPHIC, PANINI)
+"""What the house computes with; all others are converted."""
+
 _PINHOLE_PARAMETERS = ("fx", "fy", "cx", "cy")
 
 # The equations are in lens_models.py. ocam: the affine matrix by rows, then the polynomial by rising powers.
 PARAMETERS = {
     KANNALA_BRANDT: (*_PINHOLE_PARAMETERS, "k1", "k2", "k3", "k4"),
     PINHOLE: _PINHOLE_PARAMETERS,
+    CYLINDRICAL: _PINHOLE_PARAMETERS,
+    EQUIRECTANGULAR: _PINHOLE_PARAMETERS,
+    STEREOGRAPHIC: _PINHOLE_PARAMETERS,
+    PANINI: (*_PINHOLE_PARAMETERS, "d"),
     BROWN_CONRADY: (*_PINHOLE_PARAMETERS, *["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4"]),
     UNIFIED: (*_PINHOLE_PARAMETERS, "xi", "k1", "k2", "p1", "p2"),
     EXTENDED_UNIFIED: (*_PINHOLE_PARAMETERS, "alpha", "beta"),
@@ -46,7 +57,7 @@ class CameraFile:
     """One camera as a lens file tells it, the same for every format."""
 
     model: str
-    """A key of `PARAMETERS`: `"kannala_brandt"`, `"pinhole"`, or a model that is converted to the former."""
+    """A key of `PARAMETERS`: one of `HOUSE_MODELS`, or a model that is converted to `"kannala_brandt"`."""
     width: int
     height: int
     params: tuple[float, ...]
@@ -72,6 +83,8 @@ def checked(model: str, width: float, height: float, params: Sequence[float]) ->
     for name, value in zip(names, numbers, strict=True):
         if name in ("fx", "fy") and value <= 0:
             raise ValueError(f"{name}: expected a positive number, got {value}")
+    if model == PANINI and numbers[-1] < 0:
+        raise ValueError(f"d: expected at least 0, got {numbers[-1]:g}")
     sides = {name: number(side, name) for name, side in (("width", width), ("height", height))}
     for name, side in sides.items():
         if side < 1 or not side.is_integer():

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .along import Annotations, FromTo, along, annotations_of, with_companions
+from .convert import MAX_FIT_ERROR_HELP
 from .estimating import REFINE_HELP, SAVE_CAMERA_HELP, WEIGHTS_HELP, check_save_camera
 from .messages import fail, say
 from .progress import file_progress
@@ -44,6 +45,7 @@ def rectify(
             help="Lens file of the camera that took them (JSON, YAML, OpenCV, kalibr...); estimated if left out."
         ),
     ] = None,
+    max_fit_error_px: Annotated[float, typer.Option(help=MAX_FIT_ERROR_HELP)] = 1.0,
     view: Annotated[
         str | None,
         typer.Option(help="edge-matched, keep-all, valid-only or valid-rectangle (the largest, off centre)."),
@@ -102,6 +104,7 @@ def rectify(
     stays at the edge of the result, so nothing in it is empty.
     Whatever moves along takes the camera and the view of its picture. FROM and TO are files for one picture, and for
     several folders of the same relative paths, with other suffixes; of --annotations, one file for all.
+    A lens file describes pixels as they are stored, in videos too whose pixels are not square; the result's are.
     A folder is searched to the bottom and made again below the output, with a record of what was done and with which
     camera, manifest.jsonl. A file that fails does not stop the rest: the exit status is 1 then.
     """
@@ -129,7 +132,7 @@ def rectify(
         else:
             if save_camera is not None or weights is not None:
                 raise ValueError("expected --camera, or --save-camera and --weights to estimate one, got both")
-            rectifier = _calibrated(camera, options, interpolation, antialias, quality, count)
+            rectifier = _calibrated(camera, max_fit_error_px, options, interpolation, antialias, quality, count)
         if planned.folder is not None:
             manifest = Manifest(planned.folder)
         elif resume or format is not None:
@@ -230,12 +233,20 @@ def _target_suffix(format: str | None) -> Callable[[str], str]:
 
 
 def _calibrated(
-    camera: Path, options: ViewOptions, interpolation: str, antialias: bool, quality: int | None, jobs: int
+    camera: Path,
+    max_fit_error_px: float,
+    options: ViewOptions,
+    interpolation: str,
+    antialias: bool,
+    quality: int | None,
+    jobs: int,
 ) -> CalibratedRectifier:
     from ..cameras import FisheyeCamera
-    from ..file_rectifiers import CalibratedRectifier
+    from ..file_rectifiers import CalibratedRectifier, describe_fit
 
-    fisheye = FisheyeCamera.load(camera)
+    fisheye = FisheyeCamera.load(camera, max_fit_error_px=max_fit_error_px)
+    if fit := describe_fit(fisheye):
+        typer.echo(f"{camera}: {fit}")
     threads = max(1, (os.cpu_count() or 1) // jobs)
     view, rotation = options.view_of(fisheye), options.rotation()
     return CalibratedRectifier(fisheye, view, rotation, interpolation, quality, threads, antialias)
