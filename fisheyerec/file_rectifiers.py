@@ -19,6 +19,7 @@ from .pictures import PICTURE_SUFFIXES, Picture, picture_format_of, read_picture
 from .views import view_for, view_rotation
 
 if TYPE_CHECKING:
+    from .image_circle import ImageCircle
     from .rectifier import PhotoEstimate, Rectifier
 
 VIDEO_SUFFIXES = frozenset(
@@ -146,10 +147,10 @@ class ViewOptions:
     tilt_deg: float = 0
     roll_deg: float = 0
 
-    def view_of(self, camera: FisheyeCamera) -> Camera:
-        """Choose the view of a camera."""
-        size, options = self.size or camera.image_size, self.zoom()
-        return view_for(camera, size, self.mode, projection=self.projection, **options)
+    def view_of(self, camera: FisheyeCamera, circle: ImageCircle | None = None) -> Camera:
+        """Choose the view of a camera, of which the picture may end in a circle."""
+        seen = camera if circle is None else circle.to_view(self.mode, self.balance).of(camera)
+        return view_for(seen, self.size or camera.image_size, self.mode, projection=self.projection, **self.zoom())
 
     def zoom(self) -> dict[str, float | None]:
         """Give the options that say how much of the scene is seen."""
@@ -225,7 +226,7 @@ class BlindRectifier:
             return FileReport(camera, None, f"as it was, {describe(found)}")
         height, width = found.camera.image_size
         options = replace(self.options, size=self.options.size or (height - height % 2, width - width % 2))
-        view = options.view_of(found.camera_to_view(options.mode, options.balance))
+        view = options.view_of(found.camera, found.image_circle)
         rotation = options.rotation()
         result = video.rectify_video(
             source, target, camera, view, rotation=rotation, quality=self.quality, on_frame=on_frame

@@ -1,18 +1,16 @@
-"""The image circle of a lens: where a picture ends that does not fill its frame, and what that tells of the lens."""
+"""The image circle of a lens: where a picture ends that does not fill its frame."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-import torch
 
+from . import numpy as door
 from . import pixel
-from .cameras import FisheyeCamera
-from .lens_chart import FIELD_OF_VIEW, PRINCIPAL_POINT, PROFILE, SIZE, angle_to_g
-from .refinement import Prior, wide_prior
+from .cameras import Camera, FisheyeCamera
 from .sightlines import Pieces
 
 # Grey levels of 255, in the brightest channel, of the surround: noise and compression leave it so far above its
@@ -28,10 +26,6 @@ _BLACK_OUTSIDE, _ON_CIRCLE, _LEAST_TURN, _SECTORS = 0.9, 0.6, 0.15, 90
 _DIRECTIONS = 720
 _CORNERS_PER_SIDE = 24  # how often a corner's square fits along the frame's shorter side
 _SMALLEST, _LARGEST = 0.3, 1.0  # radius, of the frame's shorter and longer side
-
-# Lenses with an image circle are sold with 180 to 190 degrees, rarely with 160 or 220.
-_RIM, _RIM_DEVIATION = math.radians(92.5), math.radians(7)
-_CENTRE_DEVIATION = 0.02  # of the principal point from the circle's centre, in units of R
 _RIM_WIDTH = 0.04  # of the radius: edges nearer to the rim are its own
 
 
@@ -59,6 +53,18 @@ class ImageCircle(NamedTuple):
     def contains(self, points: np.ndarray, shrink: float = 1.0) -> np.ndarray:
         """Tell which points (..., 2) lie within the circle, or one `shrink` times as large: (...) bool."""
         return np.asarray(np.hypot(points[..., 0] - self.x, points[..., 1] - self.y) <= shrink * self.radius)
+
+    def to_view(self, mode: str | None = None, balance: float | None = None) -> Square:
+        """Give the part that `view_for` is to choose a view by: where that is to be valid only the inscribed square."""
+        is_cut = balance is not None or mode in ("valid_only", "valid_rectangle")
+        return self.inscribed if is_cut else self.circumscribed
+
+    def seen(self, camera: FisheyeCamera, view: Camera, rotation: Any) -> np.ndarray:
+        """Tell which pixels (h, w) of a view show something within the circle, as `rectify` tells what is valid."""
+        height, width = camera.image_size
+        points = np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(height))), -1)
+        within = self.contains(points).astype(np.uint8)
+        return door.rectify(within, camera, view, rotation=rotation, interpolation="nearest").image.astype(bool)
 
     def _around(self, side: float) -> Square:
         whole = max(1, round(side))
@@ -109,23 +115,6 @@ def find_image_circle(image: np.ndarray) -> ImageCircle | None:
         distances = np.hypot(border[:, 0] - circle.x, border[:, 1] - circle.y)
         near = np.abs(distances - circle.radius) <= max(1.0, tolerance * circle.radius)
     return circle if _is_convincing(circle, border[near], black) else None
-
-
-def prior_within(circle: ImageCircle) -> Prior:
-    """Give the prior over charts of the inscribed square: the rim sees about 90 degrees, around the circle's centre.
-
-    The corners of that square lie on the rim, which in the chart is the sum of the profile's last number and the field
-    of view.
-    """
-    prior = wide_prior()
-    corner = np.zeros(SIZE)
-    corner[range(SIZE)[PROFILE][-1]] = corner[FIELD_OF_VIEW] = 1
-    rim = torch.tensor([_RIM, _RIM + _RIM_DEVIATION], dtype=torch.float64)
-    g, beyond = angle_to_g(rim).tolist()
-    prior = prior.given(corner, g, beyond - g)
-    for axis in np.eye(SIZE)[PRINCIPAL_POINT]:
-        prior = prior.given(axis, 0.0, _CENTRE_DEVIATION)
-    return prior
 
 
 def pieces_within(pieces: Pieces, circle: ImageCircle) -> Pieces:

@@ -25,11 +25,11 @@ from torch import Tensor
 
 from . import numpy as door
 from .cameras import Camera, FisheyeCamera, PinholeCamera
-from .image_circle import ImageCircle, find_image_circle, pieces_within, prior_within
+from .image_circle import ImageCircle, find_image_circle, pieces_within
 from .lens_chart import ASPECT, PRINCIPAL_POINT, SIZE, camera_from_chart, chart_of, perspective_chart, stretch
 from .network import FishEyeRecNet
 from .pictures import decode, read_picture
-from .refinement import DISTORTED_EVIDENCE, DISTORTED_STRETCH, Prior, Refinement, refine_on, wide_prior
+from .refinement import DISTORTED_EVIDENCE, DISTORTED_STRETCH, Prior, Refinement, circle_prior, refine_on, wide_prior
 from .straightness import WORKING_SIDE, find_pieces, straightness_of
 from .views import view_for
 from .weights import load_network
@@ -72,16 +72,6 @@ class PhotoEstimate:
     def judged_camera(self) -> FisheyeCamera:
         """The camera of that part of the photo to whose chart `covariance` belongs: the square within the circle."""
         return self.camera if self.image_circle is None else self.image_circle.inscribed.of(self.camera)
-
-    def camera_to_view(self, mode: str | None = None, balance: float | None = None) -> FisheyeCamera:
-        """Give the camera to choose a view by, for `view_for` with these options: that of a square about the circle.
-
-        The square within the circle where the view is to be valid, else the one around it.
-        """
-        if self.image_circle is None:
-            return self.camera
-        is_cut = balance is not None or mode in ("valid_only", "valid_rectangle")
-        return (self.image_circle.inscribed if is_cut else self.image_circle.circumscribed).of(self.camera)
 
 
 @dataclass(frozen=True, repr=False)
@@ -183,7 +173,8 @@ class Rectifier:
             raise ValueError("Rectifier(): expected view alone or fov_deg, focal, balance and size, got both")
         estimate = self._estimate(opened.pixels, refine)
         if not isinstance(view, Camera):
-            seen = estimate.camera_to_view(mode, balance)
+            circle = estimate.image_circle
+            seen = estimate.camera if circle is None else circle.to_view(mode, balance).of(estimate.camera)
             view = view_for(seen, size or opened.pixels.shape[:2], mode, projection=projection, **options)
         if not estimate.distorted:
             image, valid = opened.pixels, np.ones(opened.pixels.shape[:2], dtype=bool)
@@ -198,7 +189,7 @@ class Rectifier:
                 antialias=antialias,
             )
             if estimate.image_circle is not None:
-                valid &= _seen_within(estimate.image_circle, estimate.camera, view, rotation)
+                valid &= estimate.image_circle.seen(estimate.camera, view, rotation)
         return PhotoRectification(
             **vars(estimate), image=opened.restore(image), valid=opened.restore_mask(valid), view=view
         )
@@ -215,7 +206,7 @@ class Rectifier:
             camera, covariance = self._look(working)
         else:
             pieces, size = pieces_within(pieces, circle), (circle.inscribed.side,) * 2
-            mean, covariance = prior_within(circle)
+            mean, covariance = circle_prior()
             camera = _camera_of(mean, size)
         before = straightness_of(pieces, None, size)
         refinement = None
@@ -384,13 +375,6 @@ def _is_distorted(camera: FisheyeCamera, refinement: Refinement | None) -> bool:
 
 def _camera_of(chart: np.ndarray, image_size: tuple[int, int]) -> FisheyeCamera:
     return FisheyeCamera(camera_from_chart(torch.from_numpy(chart), image_size).numpy(), image_size)
-
-
-def _seen_within(circle: ImageCircle, camera: FisheyeCamera, view: Camera, rotation: Any) -> np.ndarray:
-    """Which pixels (h, w) of a view show what lies within the image circle."""
-    height, width = camera.image_size
-    points = np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(height))), -1)
-    return door.rectify(circle.contains(points), camera, view, rotation=rotation, interpolation="nearest")[0]
 
 
 def _expected_error_px(chart: np.ndarray, covariance: np.ndarray) -> float:

@@ -20,7 +20,17 @@ import torch
 
 from . import sightlines
 from .cameras import FisheyeCamera
-from .lens_chart import SIZE, camera_from_chart, chart_of, perspective_chart, stretch
+from .lens_chart import (
+    FIELD_OF_VIEW,
+    PRINCIPAL_POINT,
+    PROFILE,
+    SIZE,
+    angle_to_g,
+    camera_from_chart,
+    chart_of,
+    perspective_chart,
+    stretch,
+)
 from .sightlines import Fit, Pieces
 from .straightness import check_picture, find_pieces, straightness_of
 
@@ -41,6 +51,9 @@ _STRAIGHT_PX = 0.4
 # Where the lines contradict the prior by so much (chi squared of 8 exceeds it once in 1,000 times), or a lens of the
 # wide prior lowers their cost by so much, the wide prior takes its place.
 _SURPRISE, _STRAIGHTER = 26.1, 150.0
+# Lenses with an image circle are sold with 180 to 190 degrees, rarely with 160 or 220.
+_RIM, _RIM_DEVIATION = np.radians((92.5, 7))
+_CENTRE_DEVIATION = 0.02  # of the principal point from the circle's centre, in units of R
 _STEP_LIMIT = 2.0  # in standard deviations of the prior
 # Cut of rho in pixels before merging; then tolerance of merging and cut.
 _LOOSE_CUTS = (1.0, 0.7, 0.4)
@@ -113,6 +126,22 @@ def wide_prior() -> Prior:
     covariance = np.diag([0, 0, 0, 0, 0, (3 / 128) ** 2, (3 / 128) ** 2, 0.003**2])
     covariance[:5, :5] = axes * spread**2 @ axes.T
     return Prior(mean, covariance)
+
+
+def circle_prior() -> Prior:
+    """Give the prior over the charts of the square inscribed in an image circle, whose corners lie on the rim.
+
+    The rim, in the chart the sum of the profile's last number and the field of view, sees about 90 degrees; and the
+    principal point is the circle's centre.
+    """
+    prior = wide_prior()
+    corner = np.zeros(SIZE)
+    corner[range(SIZE)[PROFILE][-1]] = corner[FIELD_OF_VIEW] = 1
+    rim, beyond = angle_to_g(torch.tensor([_RIM, _RIM + _RIM_DEVIATION], dtype=torch.float64)).tolist()
+    prior = prior.given(corner, rim, beyond - rim)
+    for axis in np.eye(SIZE)[PRINCIPAL_POINT]:
+        prior = prior.given(axis, 0.0, _CENTRE_DEVIATION)
+    return prior
 
 
 def refine(image: np.ndarray, camera: FisheyeCamera, *, prior: Prior | None = None) -> Refinement:

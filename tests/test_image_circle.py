@@ -11,11 +11,11 @@ import torch
 from PIL import Image
 
 import fisheyerec as fr
-from fisheyerec.image_circle import ImageCircle, find_image_circle, pieces_within, prior_within
+from fisheyerec.image_circle import ImageCircle, find_image_circle, pieces_within
 from fisheyerec.lens_chart import FIELD_OF_VIEW, angle_from_g, camera_from_chart
 from fisheyerec.pooling import pool
 from fisheyerec.rectifier import Rectifier
-from fisheyerec.refinement import wide_prior
+from fisheyerec.refinement import circle_prior, wide_prior
 from fisheyerec.straightness import find_pieces
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
@@ -152,7 +152,7 @@ def test_a_prior_given_a_measurement_is_that_of_bayes():
 
 
 def test_the_prior_within_a_circle_has_its_rim_at_about_90_degrees():
-    mean, covariance = prior_within(CIRCLE)
+    mean, covariance = circle_prior()
     charts = np.random.default_rng(0).multivariate_normal(mean, covariance, 4000)
     rims = np.degrees(angle_from_g(torch.from_numpy(charts[:, 3] + charts[:, FIELD_OF_VIEW])).numpy())
     # 92.5 +- 7, pulled towards the weaker lenses of the wide prior.

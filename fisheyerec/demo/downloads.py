@@ -28,7 +28,9 @@ def write_rectified(
         OSError: the file cannot be written.
     """
     picture = photo.picture
-    image, _ = door.rectify(picture.pixels, camera, options.view_of(camera), rotation=options.rotation())
+    enlarged = max(picture.pixels.shape[:2]) / max(photo.preview.shape[:2])
+    view = options.view_of(camera, None if photo.circle is None else photo.circle.resize(enlarged))
+    image, _ = door.rectify(picture.pixels, camera, view, rotation=options.rotation())
     suffix = target_suffix(photo.path.suffix, picture_suffix=suffix, video_suffix=None)
     target = folder / f"{photo.path.stem}_rectified{suffix}"
     write_picture(target, Picture(image, picture.metadata))

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..cameras import FisheyeCamera
 from ..file_rectifiers import camera_at
+from ..image_circle import ImageCircle, find_image_circle
 from ..pictures import Picture, read_picture
 from ..sightlines import Pieces
 from ..straightness import find_pieces
@@ -32,6 +33,8 @@ class Photo:
     """Its lines, in pixels of `working_size`."""
     working_size: tuple[int, int]
     """(height, width) that lines are looked for at."""
+    circle: ImageCircle | None
+    """Where the preview ends, if it does not fill its frame."""
 
     @classmethod
     def open(cls, path: Path) -> Photo:
@@ -43,7 +46,7 @@ class Photo:
         """
         picture = read_picture(path)
         preview = preview_of(picture.pixels)
-        return cls(path, picture, preview, *find_pieces(preview))
+        return cls(path, picture, preview, *find_pieces(preview), find_image_circle(preview))
 
     @property
     def size(self) -> tuple[int, int]:

@@ -50,9 +50,11 @@ def make_preview(
         ValueError: there is no such view of the camera.
     """
     small = camera.resize((photo.preview.shape[0], photo.preview.shape[1]))
-    view, rotation = options.view_of(small), options.rotation()
+    view, rotation = options.view_of(small, photo.circle), options.rotation()
     before = photo.preview
     after, valid = door.rectify(before, small, view, rotation=rotation)
+    if photo.circle is not None:
+        valid &= photo.circle.seen(small, view, rotation)
     if mask:
         after = hatch(after, ~valid)
     if lines:
