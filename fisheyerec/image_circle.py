@@ -82,6 +82,10 @@ class Square(NamedTuple):
         """Give the camera of this part."""
         return camera.crop(self.x0, self.y0, (self.side, self.side))
 
+    def pieces(self, pieces: Pieces) -> Pieces:
+        """Give pieces of the picture in pixels of this part."""
+        return Pieces(pieces.points - (self.x0, self.y0), pieces.starts)
+
     def whole(self, camera: FisheyeCamera, image_size: tuple[int, int]) -> FisheyeCamera:
         """Give the camera of the picture (height, width) from that of this part."""
         return camera.crop(-self.x0, -self.y0, image_size)
@@ -117,14 +121,15 @@ def find_image_circle(image: np.ndarray) -> ImageCircle | None:
     return circle if _is_convincing(circle, border[near], black) else None
 
 
-def pieces_within(pieces: Pieces, circle: ImageCircle) -> Pieces:
-    """Give those pieces that are not of the rim, in pixels of the inscribed square."""
+def without_rim(pieces: Pieces, circle: ImageCircle) -> Pieces:
+    """Leave out pieces that are, or touch, edges of the rim."""
+    if not len(pieces):
+        return pieces
     outside = ~circle.contains(pieces.points, 1 - _RIM_WIDTH)
-    inside = np.flatnonzero(pieces.sums(outside.astype(float)) == 0) if len(pieces) else np.arange(0)
+    inside = np.flatnonzero(pieces.sums(outside.astype(float)) == 0)
     if not len(inside):
         return Pieces(np.zeros((0, 2)), np.zeros(1, dtype=int))
-    kept = pieces.joined([np.array([piece]) for piece in inside])
-    return Pieces(kept.points - circle.inscribed[:2], kept.starts)
+    return pieces.joined([np.array([piece]) for piece in inside])
 
 
 def _is_convincing(circle: ImageCircle, border: np.ndarray, black: np.ndarray) -> bool:

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from . import numpy as door
 from .cameras import Camera, FisheyeCamera, PinholeCamera
-from .image_circle import ImageCircle, find_image_circle, pieces_within
+from .image_circle import ImageCircle, find_image_circle, without_rim
 from .lens_chart import ASPECT, PRINCIPAL_POINT, SIZE, camera_from_chart, chart_of, perspective_chart, stretch
 from .network import FishEyeRecNet
 from .pictures import decode, read_picture
@@ -205,7 +205,8 @@ class Rectifier:
         if circle is None:
             camera, covariance = self._look(working)
         else:
-            pieces, size = pieces_within(pieces, circle), (circle.inscribed.side,) * 2
+            pieces = circle.inscribed.pieces(without_rim(pieces, circle))
+            size = (circle.inscribed.side, circle.inscribed.side)
             mean, covariance = circle_prior()
             camera = _camera_of(mean, size)
         before = straightness_of(pieces, None, size)

@@ -122,6 +122,22 @@ def test_a_photo_without_lines_is_said_to_have_none(camera, tmp_path):
     np.testing.assert_array_equal(preview.before, photo.preview)
 
 
+def test_a_photo_that_ends_in_a_circle_is_framed_by_it(room, camera, tmp_path):
+    y, x = np.mgrid[:768, :1024]
+    pixels = np.where(np.hypot(x - 511.5, y - 383.5)[..., None] > 370, 0, room.picture.pixels).astype(np.uint8)
+    write_picture(tmp_path / "circular.png", Picture(pixels))
+    photo = Photo.open(tmp_path / "circular.png")
+    assert photo.circle == pytest.approx((479.5, 359.5, 370 * 960 / 1024), abs=6)
+    middle, radius = np.array(photo.working_size[::-1]) / 2, 370 / 1024 * max(photo.working_size)
+    assert len(photo.pieces) > 0
+    assert np.hypot(*(photo.pieces.points - middle).T).max() < 0.99 * radius
+    valid_only = make_preview(photo, camera, ViewOptions("valid_only"))
+    assert valid_only.valid_share == 1
+    assert valid_only.after.max(-1).min() > 0
+    file = write_rectified(photo, camera, ViewOptions("valid_only"), tmp_path, suffix=".png")
+    assert read_picture(file).pixels.max(-1).min() > 0
+
+
 def test_what_goes_wrong_is_told_as_text():
     assert "&lt;b&gt;" in trouble("<b>")
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..cameras import FisheyeCamera
 from ..file_rectifiers import camera_at
-from ..image_circle import ImageCircle, find_image_circle
+from ..image_circle import ImageCircle, find_image_circle, without_rim
 from ..pictures import Picture, read_picture
 from ..sightlines import Pieces
 from ..straightness import find_pieces
@@ -46,7 +46,11 @@ class Photo:
         """
         picture = read_picture(path)
         preview = preview_of(picture.pixels)
-        return cls(path, picture, preview, *find_pieces(preview), find_image_circle(preview))
+        pieces, working_size = find_pieces(preview)
+        circle = find_image_circle(preview)
+        if circle is not None:
+            pieces = without_rim(pieces, circle.resize(max(working_size) / max(preview.shape[:2])))
+        return cls(path, picture, preview, pieces, working_size, circle)
 
     @property
     def size(self) -> tuple[int, int]:
