@@ -47,6 +47,7 @@ ORDER = [
     "pooling",
     "file_rectifiers",
     "bulk",
+    "cluster",
     "baselines",
     "training",
     "cli",
@@ -66,6 +67,7 @@ WITHOUT_TORCH = [
         "video",
         "file_rectifiers",
         "bulk",
+        "cluster",
         "cli",
     ),
 ]
@@ -76,6 +78,7 @@ ONLY_USED_BY = {
     "_ops": {"rectification"},
     "_numpy": {"lens_models", "cameras", "numpy"},
     "video": {"file_rectifiers", "cli"},
+    "cluster": {"cli"},
     "baselines": {"training", "cli"},
     "training": {"baselines", "cli"},
     "cli": set(),
