@@ -14,12 +14,15 @@ import logging
 import os
 import pickle
 import re
+import signal
 import socket
 import sys
 import tempfile
+import threading
 import time
 from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, cast
 
@@ -115,6 +118,8 @@ def _connected(address: str, jobs: int | None) -> Iterator[None]:
             socket.create_connection((match["host"], int(match["port"])), _REACHABLE_WITHIN).close()
         with _silent_stderr():
             ray.init(address=address, **options)
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))  # where Ray has hung a stack trace
     except Exception as error:  # of all kinds, RuntimeError for another version of Ray or Python among them
         raise ConnectionError(f"expected a Ray cluster at {address}, got none: {one_line(error)}") from error
     try:
@@ -169,21 +174,24 @@ def _outcomes(tasks: Sequence[Task], rectifier: FileRectifier, jobs: int | None)
     here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
     ledger: Any = ray.remote(_Ledger).options(num_cpus=0, scheduling_strategy=here).remote()
     # Pickled here, since Arrow has no paths, and no texts that are not Unicode, as names of files may be.
-    rows = [{"tasks": pickle.dumps(batch)} for batch in _batches(tasks, workers)]
-    dataset = ray.data.from_items(rows, override_num_blocks=len(rows)).map(
+    batches = [{"tasks": pickle.dumps(batch)} for batch in _batches(tasks, workers)]
+    dataset = ray.data.from_items(batches, override_num_blocks=len(batches)).map(
         cast(Any, _Worker),
         fn_constructor_args=(rectifier, ledger, os.getcwd()),
         compute=ray.data.ActorPoolStrategy(size=workers),
         num_cpus=1,
     )
-    try:
-        for row in dataset.iter_rows():
-            yield from pickle.loads(row["outcomes"])
-    finally:  # as in `bulk`, pictures in progress are finished
-        ray.get(ledger.stop.remote())
-        end = time.monotonic() + _LAST_PICTURE_WITHIN
-        while time.monotonic() < end and ray.get(ledger.in_hand.remote()) > 0:
-            time.sleep(0.05)
+    with ThreadPoolExecutor(1) as reader:  # Ray ends workers at once where Ctrl-C meets it reading
+        rows: Any = iter(dataset.iter_rows())
+        try:
+            while (row := reader.submit(next, rows, None).result()) is not None:
+                yield from pickle.loads(row["outcomes"])
+        finally:  # as in `bulk`, pictures in progress are finished
+            ray.get(ledger.stop.remote())
+            end = time.monotonic() + _LAST_PICTURE_WITHIN
+            while time.monotonic() < end and ray.get(ledger.in_hand.remote()) > 0:
+                time.sleep(0.05)
+            reader.submit(rows.close).result()  # before Ray is shut down, lest it starts again to tidy up
 
 
 def _batches(tasks: Sequence[Task], workers: int) -> list[list[Task]]:
