@@ -72,41 +72,14 @@ def check_address(address: str) -> None:
         raise ValueError(f"expected a Ray cluster as local, auto or HOST:PORT, got {address!r}")
 
 
-def run(
-    tasks: Sequence[Task], rectifier: FileRectifier, *, address: str | None = None, jobs: int | None = None
-) -> Generator[Outcome, None, None]:
-    """Rectify files on a cluster and give what became of each, in the order that batches of them are finished.
-
-    Every machine must see the files under the same names, and have this version of fisheyerec; relative names count
-    from the current folder of this process. A network is loaded once a worker. What a lost worker had in hand is done
-    again by another, and what it left half-written is removed at the end. Where the iteration is given up, pictures in
-    progress are finished, videos broken off and removed.
-
-    Args:
-        tasks: what to do; the folders of the targets exist.
-        rectifier: what does it; sent to the workers.
-        address: "local" for a cluster of this machine's cores that ends with the run, "auto" for the one that this
-            machine belongs to, HOST:PORT of the head of one, or None where `ray.init` was called already.
-        jobs: how many workers, each on one core; one for every core of the cluster if None.
+@contextlib.contextmanager
+def connected(address: str, jobs: int | None) -> Iterator[None]:
+    """Connect this process to a cluster for the length of a block; see `run`.
 
     Raises:
         ValueError: address is none.
-        ConnectionError: the cluster cannot be reached or was lost, or a machine of it lacks the folder or this version.
+        ConnectionError: the cluster cannot be reached.
     """
-    if not tasks:
-        return
-    try:
-        with contextlib.nullcontext() if address is None else _connected(address, jobs):
-            _check_machines(tasks[0].target.parent)
-            yield from _outcomes(tasks, rectifier, jobs)
-    except ray.exceptions.RayError as error:
-        raise ConnectionError(f"the Ray cluster failed: {one_line(error)}") from error
-    finally:
-        remove_leftovers(task.target for task in tasks)
-
-
-@contextlib.contextmanager
-def _connected(address: str, jobs: int | None) -> Iterator[None]:
     check_address(address)
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
     if address == "local":
@@ -126,6 +99,39 @@ def _connected(address: str, jobs: int | None) -> Iterator[None]:
         yield
     finally:
         ray.shutdown()
+
+
+def run(
+    tasks: Sequence[Task], rectifier: FileRectifier, *, address: str | None = None, jobs: int | None = None
+) -> Generator[Outcome, None, None]:
+    """Rectify files on a cluster and give what became of each, in the order that batches of them are finished.
+
+    Every machine must see the files under the same names, and have this version of fisheyerec; relative names count
+    from the current folder of this process. A network is loaded once a worker. What a lost worker had in hand is done
+    again by another, and what it left half-written is removed at the end. Where the iteration is given up, pictures in
+    progress are finished, videos broken off and removed.
+
+    Args:
+        tasks: what to do; the folders of the targets exist.
+        rectifier: what does it; sent to the workers.
+        address: "local" for a cluster of this machine's cores that ends with the run, "auto" for the one that this
+            machine belongs to, HOST:PORT of the head of one, or None where this process is connected already.
+        jobs: how many workers, each on one core; one for every core of the cluster if None.
+
+    Raises:
+        ValueError: address is none.
+        ConnectionError: the cluster cannot be reached or was lost, or a machine of it lacks the folder or this version.
+    """
+    if not tasks:
+        return
+    try:
+        with contextlib.nullcontext() if address is None else connected(address, jobs):
+            _check_machines(tasks[0].target.parent)
+            yield from _outcomes(tasks, rectifier, jobs)
+    except ray.exceptions.RayError as error:
+        raise ConnectionError(f"the Ray cluster failed: {one_line(error)}") from error
+    finally:
+        remove_leftovers(task.target for task in tasks)
 
 
 @contextlib.contextmanager
@@ -175,17 +181,19 @@ def _outcomes(tasks: Sequence[Task], rectifier: FileRectifier, jobs: int | None)
     ledger: Any = ray.remote(_Ledger).options(num_cpus=0, scheduling_strategy=here).remote()
     # Pickled here, since Arrow has no paths, and no texts that are not Unicode, as names of files may be.
     batches = [{"tasks": pickle.dumps(batch)} for batch in _batches(tasks, workers)]
+    # Nothing is sent ahead, to workers or from them: Ray may keep what is finished until what comes after it is, too.
     dataset = ray.data.from_items(batches, override_num_blocks=len(batches)).map(
         cast(Any, _Worker),
         fn_constructor_args=(rectifier, ledger, os.getcwd()),
-        compute=ray.data.ActorPoolStrategy(size=workers),
+        compute=ray.data.ActorPoolStrategy(size=workers, max_tasks_in_flight_per_actor=1),
         num_cpus=1,
     )
+    rows: Any = iter(dataset.iter_batches(batch_size=None, prefetch_batches=0))
     with ThreadPoolExecutor(1) as reader:  # Ray ends workers at once where Ctrl-C meets it reading
-        rows: Any = iter(dataset.iter_rows())
         try:
             while (row := reader.submit(next, rows, None).result()) is not None:
-                yield from pickle.loads(row["outcomes"])
+                for outcomes in row["outcomes"]:
+                    yield from pickle.loads(outcomes)
         finally:  # as in `bulk`, pictures in progress are finished
             ray.get(ledger.stop.remote())
             end = time.monotonic() + _LAST_PICTURE_WITHIN
