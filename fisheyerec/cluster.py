@@ -33,14 +33,15 @@ from .folders import Task
 from .replacement import remove_leftovers
 
 # Ray reads these when it is imported. Its core writes to standard error what it raises as well, or makes good itself.
-_QUIET = {
+_SETTINGS = {
     "RAY_BACKEND_LOG_LEVEL": "fatal",
     "RAY_DATA_DISABLE_PROGRESS_BARS": "1",
     "RAY_DATA_LOG_LEVEL": "ERROR",
     "RAY_DEDUP_LOGS_SKIP_REGEX": "worker died or was killed|retries remaining",
     "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_worker_niceness": "0",  # of a local cluster, else whatever else the machine does comes first
 }
-for _name, _value in _QUIET.items():
+for _name, _value in _SETTINGS.items():
     os.environ.setdefault(_name, _value)
 
 try:
@@ -56,8 +57,10 @@ ATTEMPTS = 3
 _ADDRESS = re.compile(r"local|auto|(?P<host>[^/\s]+):(?P<port>\d+)")
 _REACHABLE_WITHIN = 10  # s; Ray itself tries for minutes
 _OBJECT_STORE_BYTES = 80 << 20  # about the least that Ray takes: names of files and cameras are all that is in it
-_LARGEST_BATCH = 8  # files: handing over costs Ray about as much for one as for several, and a lost batch is done again
-_BATCHES_A_WORKER = 16  # at least, so that all end at about the same time
+_LARGEST_BATCH = (
+    16  # files: handing over costs Ray about as much for one as for several, and a lost batch is done again
+)
+_BATCHES_A_WORKER = 8  # at least, so that all end at about the same time
 _LAST_PICTURE_WITHIN = 30  # s, after the run was given up
 _FRAMES_BETWEEN_LOOKS = 32  # whether the run is over
 

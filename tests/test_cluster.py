@@ -33,10 +33,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:ray")
 SIZE = (48, 64)
 CAMERA = fr.FisheyeCamera.from_projection("equidistant", 120, SIZE)
 RECTIFIER = CalibratedRectifier(CAMERA, fr.PinholeCamera.edge_matched(CAMERA, SIZE), threads=1)
-ENVIRONMENT = {
-    "PYTHONPATH": os.pathsep.join(filter(None, [str(Path(fr.__file__).parents[1]), os.environ.get("PYTHONPATH")])),
-    "RAY_worker_niceness": "0",  # else whatever else the machine does comes first
-}
+PYTHONPATH = os.pathsep.join(filter(None, [str(Path(fr.__file__).parents[1]), os.environ.get("PYTHONPATH")]))
 
 cluster.ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers do not find the tests
 
@@ -44,8 +41,7 @@ cluster.ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # worke
 @pytest.fixture(scope="module")
 def two_workers():
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in ENVIRONMENT.items():
-            patch.setenv(name, value)
+        patch.setenv("PYTHONPATH", PYTHONPATH)
         with cluster.connected("local", 2):
             yield
 
@@ -189,7 +185,12 @@ def command(*arguments):
 
 def run(*arguments):
     return subprocess.run(
-        command(*arguments), capture_output=True, text=True, timeout=300, check=False, env={**os.environ, **ENVIRONMENT}
+        command(*arguments),
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        env={**os.environ, "PYTHONPATH": PYTHONPATH},
     )
 
 
@@ -236,7 +237,7 @@ def test_what_a_dead_driver_leaves_is_whole_and_one_process_does_the_rest(tree, 
             stderr=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env={**os.environ, **ENVIRONMENT},
+            env={**os.environ, "PYTHONPATH": PYTHONPATH},
             start_new_session=True,
             preexec_fn=hears_ctrl_c,
         )
