@@ -57,9 +57,7 @@ ATTEMPTS = 3
 _ADDRESS = re.compile(r"local|auto|(?P<host>[^/\s]+):(?P<port>\d+)")
 _REACHABLE_WITHIN = 10  # s; Ray itself tries for minutes
 _OBJECT_STORE_BYTES = 80 << 20  # about the least that Ray takes: names of files and cameras are all that is in it
-_LARGEST_BATCH = (
-    16  # files: handing over costs Ray about as much for one as for several, and a lost batch is done again
-)
+_LARGEST_BATCH = 16  # files: to hand over several costs Ray little more than one, but a lost batch is done again
 _BATCHES_A_WORKER = 8  # at least, so that all end at about the same time
 _LAST_PICTURE_WITHIN = 30  # s, after the run was given up
 _FRAMES_BETWEEN_LOOKS = 32  # whether the run is over
