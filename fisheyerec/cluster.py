@@ -34,6 +34,7 @@ from .replacement import remove_leftovers
 
 # Ray reads these when it is imported. Its core writes to standard error what it raises as well, or makes good itself.
 _SETTINGS = {
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
     "RAY_BACKEND_LOG_LEVEL": "fatal",
     "RAY_DATA_DISABLE_PROGRESS_BARS": "1",
     "RAY_DATA_LOG_LEVEL": "ERROR",
