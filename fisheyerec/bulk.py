@@ -57,12 +57,7 @@ def run(
                 raise _Interrupted
             on_frame(task, done, total)
 
-        start = time.perf_counter()
-        try:
-            report = rectifier(task, on_frame=proceed)
-        except Exception as error:  # decoders raise anything on a broken file, and the rest is to be done
-            return Outcome(task, time.perf_counter() - start, None, one_line(error))
-        return Outcome(task, time.perf_counter() - start, report, report.complaint)
+        return rectify_file(task, rectifier, on_frame=proceed)
 
     waiting: set[Future[Outcome]] = set()
     with ThreadPoolExecutor(jobs) as pool:
@@ -78,6 +73,16 @@ def run(
         finally:
             stopped.set()
             pool.shutdown(cancel_futures=True)
+
+
+def rectify_file(task: Task, rectifier: FileRectifier, *, on_frame: Callable[[int, int | None], None]) -> Outcome:
+    """Rectify a file and tell what became of it, whatever it raises."""
+    start = time.perf_counter()
+    try:
+        report = rectifier(task, on_frame=on_frame)
+    except Exception as error:  # decoders raise anything on a broken file, and the rest is to be done
+        return Outcome(task, time.perf_counter() - start, None, one_line(error))
+    return Outcome(task, time.perf_counter() - start, report, report.complaint)
 
 
 def one_line(error: Exception) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,6 +21,7 @@ from .sizes import parse_size
 if TYPE_CHECKING:
     import numpy as np
 
+    from ..bulk import OnFrame, Outcome
     from ..cameras import Camera, FisheyeCamera
     from ..file_rectifiers import BlindRectifier, CalibratedRectifier, FileRectifier, ViewOptions
     from ..folders import Plan, Task
@@ -90,6 +91,14 @@ def rectify(
         int | None, typer.Option(min=1, max=100, help="Of JPEG, WebP and AVIF (95 if left out) and of video (60).")
     ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Files at a time; one a core if left out.")] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Work on a Ray cluster, a core for each of the --jobs: local (this machine), auto (the cluster it "
+            "belongs to) or HOST:PORT. All its machines must see the files under the same names.",
+        ),
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
     resume: Annotated[
         bool,
@@ -132,7 +141,8 @@ def rectify(
         else:
             if save_camera is not None or weights is not None:
                 raise ValueError("expected --camera, or --save-camera and --weights to estimate one, got both")
-            rectifier = _calibrated(camera, max_fit_error_px, options, interpolation, antialias, quality, count)
+            threads = 1 if cluster is not None else max(1, (os.cpu_count() or 1) // count)
+            rectifier = _calibrated(camera, max_fit_error_px, options, interpolation, antialias, quality, threads)
         if planned.folder is not None:
             manifest = Manifest(planned.folder)
         elif resume or format is not None:
@@ -147,6 +157,10 @@ def rectify(
             files.append((coco.source.path, coco.target))
         targets = [target for _, target in files]
         _check_files(todo, targets, may_replace=overwrite or resume)
+        if cluster is not None:
+            from ..cluster import check_address  # says what to install
+
+            check_address(cluster)
         if dry_run:
             for source, target in files:
                 typer.echo(f"{source} -> {target}")
@@ -158,24 +172,37 @@ def rectify(
             folder.mkdir(parents=True, exist_ok=True)
     except (ValueError, OSError, ImportError) as error:
         raise fail("rectify", error) from error
-    _run(planned, todo, rectifier, manifest, count, save_camera, coco, options.rotation())
+    work = functools.partial(_work, todo, rectifier, count if cluster is None else jobs, cluster)
+    _run(planned, todo, work, rectifier.settings(), manifest, save_camera, coco, options.rotation())
+
+
+def _work(
+    todo: list[Task], rectifier: FileRectifier, jobs: int | None, cluster: str | None, on_frame: OnFrame
+) -> Generator[Outcome, None, None]:
+    """Rectify with this process, or on a cluster, which does not tell how far videos have come."""
+    if cluster is None:
+        from ..bulk import run
+
+        return run(todo, rectifier, jobs=jobs or 1, on_frame=on_frame)
+    from ..cluster import run as run_on_cluster
+
+    return run_on_cluster(todo, rectifier, address=cluster, jobs=jobs)
 
 
 def _run(
     planned: Plan,
     todo: list[Task],
-    rectifier: FileRectifier,
+    work: Callable[[OnFrame], Generator[Outcome, None, None]],
+    settings: dict[str, Any],
     manifest: Manifest | None,
-    jobs: int,
     save_camera: Path | None,
     annotations: Annotations | None,
     rotation: np.ndarray | None,
 ) -> None:
     """Rectify, say and write down what became of each file."""
-    from ..bulk import run
     from ..replacement import remove_leftovers
 
-    settings, failures, made = rectifier.settings(), 0, 0
+    failures, made = 0, 0
     cameras: dict[Task, tuple[FisheyeCamera, Camera | None]] = {}
     complaints: Sequence[str] = []
     targets = [target for task in todo for _, target in task.files]
@@ -183,7 +210,7 @@ def _run(
         remove_leftovers(targets if annotations is None else [*targets, annotations.target])
         with (
             file_progress(len(todo)) as progress,
-            contextlib.closing(run(todo, rectifier, jobs=jobs, on_frame=progress.on_frame)) as outcomes,
+            contextlib.closing(work(progress.on_frame)) as outcomes,
         ):
             for task, seconds, report, error in outcomes:
                 progress.on_file(task)
@@ -239,7 +266,7 @@ def _calibrated(
     interpolation: str,
     antialias: bool,
     quality: int | None,
-    jobs: int,
+    threads: int,
 ) -> CalibratedRectifier:
     from ..cameras import FisheyeCamera
     from ..file_rectifiers import CalibratedRectifier, describe_fit
@@ -247,7 +274,6 @@ def _calibrated(
     fisheye = FisheyeCamera.load(camera, max_fit_error_px=max_fit_error_px)
     if fit := describe_fit(fisheye):
         typer.echo(f"{camera}: {fit}")
-    threads = max(1, (os.cpu_count() or 1) // jobs)
     view, rotation = options.view_of(fisheye), options.rotation()
     return CalibratedRectifier(fisheye, view, rotation, interpolation, quality, threads, antialias)
 
