@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.forward_ad import unpack_dual
 
 from . import reference
 
@@ -38,6 +39,7 @@ def resample(
     The CPU runs the compiled op; every other device runs the reference composition, see `backend_for`.
     Camera parameters and rotations in half precision are raised to float32 first.
     """
+    _refuse_forward_mode(image, source, target, source_from_target)
     source, target = _at_least_float32(source), _at_least_float32(target)
     if source_from_target is not None:
         source_from_target = _at_least_float32(source_from_target)
@@ -59,6 +61,16 @@ def resample(
 def backend_for(device: torch.device | str) -> str:
     """Name what computes on a device: "native", the compiled op, or "reference", plain torch."""
     return "native" if torch.device(device).type == "cpu" else "reference"
+
+
+def _refuse_forward_mode(*tensors: Tensor | None) -> None:
+    """Raise where derivatives are carried forward, which torch would drop without a word."""
+    if not torch.compiler.is_compiling():
+        for tensor in tensors:
+            if tensor is not None and unpack_dual(tensor).tangent is not None:  # type: ignore[no-untyped-call]
+                raise RuntimeError(
+                    "rectify(): expected derivatives in reverse mode; forward mode (torch.func.jvp) is not supported"
+                )
 
 
 def _at_least_float32(params: Tensor) -> Tensor:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -70,69 +71,6 @@ class FileRectifier(Protocol):
 
 
 @dataclass(frozen=True)
-class CalibratedRectifier:
-    """Rectifies the files of one calibrated camera; pictures of another scale take the scaled camera.
-
-    Args:
-        camera: the camera that took them.
-        view: the view to make.
-        rotation: (3, 3) camera_from_view; None for none.
-        interpolation: "bilinear" or "nearest" (pictures only).
-        quality: from 1 to 100; None for the defaults of `write_picture` and `rectify_video`.
-        threads: how many for one picture; None for OpenMP's default.
-        antialias: whether to average where a picture shrinks (pictures only).
-    """
-
-    camera: FisheyeCamera
-    view: Camera
-    rotation: np.ndarray | None = None
-    interpolation: str = "bilinear"
-    quality: int | None = None
-    threads: int | None = None
-    antialias: bool = False
-
-    def __call__(self, task: Task, *, on_frame: OnFrame) -> FileReport:
-        """Rectify a file; see `FileRectifier`."""
-        source, target, companions = task
-        if is_video(source):
-            from . import video
-
-            size = video.frame_size(source)
-            camera = camera_at(self.camera, size, source)
-            result = video.rectify_video(
-                source, target, camera, self.view, rotation=self.rotation, quality=self.quality, on_frame=on_frame
-            )
-            return FileReport(camera, self.view, f"{_describe(self.view)}, {result.summary}", result.complaint)
-        picture = read_picture(source)
-        camera = camera_at(self.camera, picture.pixels.shape[:2], source)
-        writers = moved(companions, camera, self.view, self.rotation)
-        image, valid = door.rectify(
-            picture.pixels,
-            camera,
-            self.view,
-            rotation=self.rotation,
-            interpolation=self.interpolation,
-            antialias=self.antialias,
-            threads=self.threads,
-        )
-        write_picture(target, Picture(image, picture.metadata), quality=self.quality)
-        for write in writers:
-            write()
-        return FileReport(camera, self.view, f"{_describe(self.view)}, {valid.mean():.1%} valid")
-
-    def settings(self) -> dict[str, Any]:
-        """Give what decides how outputs look; see `FileRectifier`."""
-        return {
-            "camera": camera_entry(self.camera),
-            "view": camera_entry(self.view),
-            "rotation": None if self.rotation is None else self.rotation.tolist(),
-            "interpolation": self.interpolation,
-            "antialias": self.antialias,
-            "quality": self.quality,
-        }
-
-
-@dataclass(frozen=True)
 class ViewOptions:
     """What view to make of a camera: the arguments of `views.view_for` and `views.view_rotation`."""
 
@@ -152,6 +90,11 @@ class ViewOptions:
         seen = camera if circle is None else circle.to_view(self.mode, self.balance).of(camera)
         return view_for(seen, self.size or camera.image_size, self.mode, projection=self.projection, **self.zoom())
 
+    def of_video(self, size: tuple[int, int]) -> ViewOptions:
+        """Give these options for a video of this size: what is left to the input gets even sides, as codecs want."""
+        height, width = size
+        return replace(self, size=self.size or (height - height % 2, width - width % 2))
+
     def zoom(self) -> dict[str, float | None]:
         """Give the options that say how much of the scene is seen."""
         return {"fov_deg": self.fov_deg, "focal": self.focal, "balance": self.balance}
@@ -160,6 +103,74 @@ class ViewOptions:
         """Give the rotation of the view, camera_from_view; None where it is not turned."""
         angles = (self.pan_deg, self.tilt_deg, self.roll_deg)
         return view_rotation(*angles) if any(angles) else None
+
+
+@dataclass(frozen=True)
+class CalibratedRectifier:
+    """Rectifies the files of one calibrated camera; those of another scale take the scaled camera and its view.
+
+    Args:
+        camera: the camera that took them.
+        options: the view to make.
+        interpolation: "bilinear" or "nearest" (pictures only).
+        quality: from 1 to 100; None for the defaults of `write_picture` and `rectify_video`.
+        threads: how many for one picture; None for OpenMP's default.
+        antialias: whether to average where a picture shrinks (pictures only).
+    """
+
+    camera: FisheyeCamera
+    options: ViewOptions
+    interpolation: str = "bilinear"
+    quality: int | None = None
+    threads: int | None = None
+    antialias: bool = False
+    _views: dict[tuple[int, int], Camera] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def __call__(self, task: Task, *, on_frame: OnFrame) -> FileReport:
+        """Rectify a file; see `FileRectifier`."""
+        source, target, companions = task
+        if is_video(source):
+            from . import video
+
+            camera = camera_at(self.camera, video.frame_size(source), source)
+            view = self.options.of_video(camera.image_size).view_of(camera)
+            rotation = self.options.rotation()
+            result = video.rectify_video(
+                source, target, camera, view, rotation=rotation, quality=self.quality, on_frame=on_frame
+            )
+            return FileReport(camera, view, f"{_describe(view)}, {result.summary}", result.complaint)
+        picture = read_picture(source)
+        camera = camera_at(self.camera, picture.pixels.shape[:2], source)
+        view, rotation = self._view_of(camera), self.options.rotation()
+        writers = moved(companions, camera, view, rotation)
+        image, valid = door.rectify(
+            picture.pixels,
+            camera,
+            view,
+            rotation=rotation,
+            interpolation=self.interpolation,
+            antialias=self.antialias,
+            threads=self.threads,
+        )
+        write_picture(target, Picture(image, picture.metadata), quality=self.quality)
+        for write in writers:
+            write()
+        return FileReport(camera, view, f"{_describe(view)}, {valid.mean():.1%} valid")
+
+    def _view_of(self, camera: FisheyeCamera) -> Camera:
+        if camera.image_size not in self._views:
+            self._views[camera.image_size] = self.options.view_of(camera)
+        return self._views[camera.image_size]
+
+    def settings(self) -> dict[str, Any]:
+        """Give what decides how outputs look; see `FileRectifier`."""
+        return {
+            "camera": camera_entry(self.camera),
+            "options": asdict(self.options),
+            "interpolation": self.interpolation,
+            "antialias": self.antialias,
+            "quality": self.quality,
+        }
 
 
 @dataclass(frozen=True)
@@ -224,10 +235,8 @@ class BlindRectifier:
         if not found.distorted:
             video.copy_video(source, target)
             return FileReport(camera, None, f"as it was, {describe(found)}")
-        height, width = found.camera.image_size
-        options = replace(self.options, size=self.options.size or (height - height % 2, width - width % 2))
-        view = options.view_of(found.camera, found.image_circle)
-        rotation = options.rotation()
+        view = self.options.of_video(found.camera.image_size).view_of(found.camera, found.image_circle)
+        rotation = self.options.rotation()
         result = video.rectify_video(
             source, target, camera, view, rotation=rotation, quality=self.quality, on_frame=on_frame
         )
@@ -268,13 +277,13 @@ def target_suffix(suffix: str, *, picture_suffix: str | None, video_suffix: str 
 
 def describe(estimate: PhotoEstimate) -> str:
     """Tell an estimate in half a line."""
+    has_lines = not math.isnan(estimate.straightness_before)
+    bend = f"lines bend by {estimate.straightness_before:.2f} %" if has_lines else "no lines to judge by"
     if not estimate.distorted:
-        return f"no fisheye distortion found, lines bend by {estimate.straightness_before:.2f} %"
-    return (
-        f"{describe_camera(estimate.camera)}, confidence {estimate.confidence:.2f}, lines bend by "
-        f"{estimate.straightness_before:.2f} % before and {estimate.straightness_after:.2f} % after"
-        f"{'' if estimate.refined else ', not refined'}"
-    )
+        return f"no fisheye distortion found, {bend}"
+    after = f" before and {estimate.straightness_after:.2f} % after" if has_lines else ""
+    unrefined = "" if estimate.refined else ", not refined"
+    return f"{describe_camera(estimate.camera)}, confidence {estimate.confidence:.2f}, {bend}{after}{unrefined}"
 
 
 def describe_camera(camera: Camera) -> str:

@@ -51,11 +51,17 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
     """Read a picture and turn it upright as its EXIF orientation says.
 
     Raises:
-        ValueError: not a picture, or a truncated one.
+        ValueError: not a picture, a truncated one, one of floating numbers, or one of several frames or pages.
         OSError: the file cannot be read.
     """
     try:
         with Image.open(path) as image:
+            if image.mode == "F":
+                raise ValueError(f"read_picture(): expected whole numbers, got {os.fspath(path)!r} of floating ones")
+            # Beside the photo, cameras put its preview into one file (MPO).
+            frames = 1 if image.format == "MPO" else getattr(image, "n_frames", 1)
+            if frames > 1:
+                raise ValueError(f"read_picture(): expected one picture, got {os.fspath(path)!r} of {frames} frames")
             has_deep_colour = image.mode in ("RGB", "RGBA") and any(";16" in str(tile) for tile in image.tile)
             image.load()
             if has_deep_colour:
@@ -75,8 +81,11 @@ def decode(image: Image.Image) -> Picture:
     """Turn a Pillow image into pixels, upright as its EXIF orientation says.
 
     Raises:
+        ValueError: an image of floating numbers.
         OSError: an image that was opened but is truncated.
     """
+    if image.mode == "F":
+        raise ValueError("decode(): expected an image of whole numbers, got one of floating ones")
     image.load()
     if image.mode.startswith("I"):
         return _described(image, np.asarray(image).clip(0, 65535).astype(np.uint16))

@@ -199,6 +199,9 @@ def view_rotation(pan_deg: Any = 0.0, tilt_deg: Any = 0.0, roll_deg: Any = 0.0) 
 
     Returns:
         (..., 3, 3), a tensor where an angle is one, then differentiable in the angles; else a float64 array.
+
+    Raises:
+        ValueError: an infinite angle among numbers and arrays.
     """
     angles: list[Any] = [pan_deg, tilt_deg, roll_deg]
     xp: Any = np
@@ -207,6 +210,8 @@ def view_rotation(pan_deg: Any = 0.0, tilt_deg: Any = 0.0, roll_deg: Any = 0.0) 
 
         like = next(angle for angle in angles if is_tensor(angle))
         angles = [xp.as_tensor(angle, dtype=like.dtype, device=like.device) for angle in angles]
+    elif any(np.isinf(angle).any() for angle in angles):
+        raise ValueError(f"view_rotation(): expected finite angles, got {pan_deg!r}, {tilt_deg!r} and {roll_deg!r}")
     # The axes are named by where they lie in the cycle x, y, z: a turn about one takes the next towards the one after.
     turns = []
     for angle, axis in zip(angles, (1, 0, 2), strict=True):

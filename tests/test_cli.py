@@ -80,9 +80,9 @@ def test_a_picture_of_another_scale_takes_the_scaled_camera(small, tmp_path):
         image.resize((128, 96)).save(tmp_path / "large.png")
     result = rectify(tmp_path / "large.png", "-o", tmp_path / "out.png", camera=camera_file)
     assert result.returncode == 0, result.stderr
-    camera = fr.FisheyeCamera.load(camera_file)
-    view = fr.PinholeCamera.edge_matched(camera, (48, 64))
-    expected = fr.numpy.rectify(read_picture(tmp_path / "large.png").pixels, camera.resize((96, 128)), view).image
+    camera = fr.FisheyeCamera.load(camera_file).resize((96, 128))
+    view = fr.PinholeCamera.edge_matched(camera, (96, 128))
+    expected = fr.numpy.rectify(read_picture(tmp_path / "large.png").pixels, camera, view).image
     np.testing.assert_array_equal(read_picture(tmp_path / "out.png").pixels, expected)
 
 

@@ -18,7 +18,7 @@ from PIL import Image
 
 import fisheyerec as fr
 from fisheyerec import bulk
-from fisheyerec.file_rectifiers import CalibratedRectifier, FileReport
+from fisheyerec.file_rectifiers import CalibratedRectifier, FileReport, ViewOptions
 from fisheyerec.folders import Companion, Task
 from fisheyerec.pictures import Picture, write_picture
 from fisheyerec.replacement import replacement
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:ray")
 
 SIZE = (48, 64)
 CAMERA = fr.FisheyeCamera.from_projection("equidistant", 120, SIZE)
-RECTIFIER = CalibratedRectifier(CAMERA, fr.PinholeCamera.edge_matched(CAMERA, SIZE), threads=1)
+RECTIFIER = CalibratedRectifier(CAMERA, ViewOptions(), threads=1)
 PYTHONPATH = os.pathsep.join(filter(None, [str(Path(fr.__file__).parents[1]), os.environ.get("PYTHONPATH")]))
 
 cluster.ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers do not find the tests

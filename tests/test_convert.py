@@ -108,6 +108,19 @@ def test_rectify_tells_the_fit_as_well(tmp_path):
     assert (plain.returncode, len(plain.stdout.splitlines())) == (0, 1), plain.stderr
 
 
+def test_a_file_that_is_there_is_replaced_on_demand_only(double_sphere, tmp_path):
+    (tmp_path / "lens.json").write_text("precious")
+    refused = convert(double_sphere, "-o", tmp_path / "lens.json")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert refused.stderr == (
+        f"fisheyerec convert: expected a new file, or --overwrite, got {tmp_path / 'lens.json'}\n"
+    )
+    assert (tmp_path / "lens.json").read_text() == "precious"
+    taken = convert(double_sphere, "-o", tmp_path / "lens.json", "--overwrite")
+    assert taken.returncode == 0, taken.stderr
+    assert fr.FisheyeCamera.load(tmp_path / "lens.json").image_size == (480, 640)
+
+
 # What is written into camera.yaml, the options, and what the one line says.
 BAD = {
     "no file": (None, ["-o", "out.json"], "camera.yaml: No such file or directory"),

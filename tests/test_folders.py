@@ -18,7 +18,7 @@ from PIL import Image
 
 import fisheyerec as fr
 from fisheyerec import bulk
-from fisheyerec.file_rectifiers import SUFFIXES, CalibratedRectifier, FileReport, target_suffix
+from fisheyerec.file_rectifiers import SUFFIXES, CalibratedRectifier, FileReport, ViewOptions, target_suffix
 from fisheyerec.folders import Plan, Task, plan
 from fisheyerec.manifest import Manifest
 from fisheyerec.pictures import Picture, read_picture, write_picture
@@ -418,9 +418,21 @@ def test_an_early_end_leaves_whole_files_and_resume_does_the_rest(photos, number
     assert result.stdout.count("focal") <= 40 - 3 + 2  # at most what was in progress is made again
 
 
+def test_a_picture_of_another_scale_keeps_its_size(here):
+    camera = fr.FisheyeCamera.from_projection("equidistant", 120, SIZE)
+    rectifier = CalibratedRectifier(camera, ViewOptions())
+    large = np.random.default_rng(0).integers(0, 256, (2 * SIZE[0], 2 * SIZE[1], 3), dtype=np.uint8)
+    write_picture("a.png", Picture(large))
+    report = rectifier(Task(Path("a.png"), Path("b.png")), on_frame=lambda done, total: None)
+    twice = camera.resize(large.shape[:2])
+    expected = fr.numpy.rectify(large, twice, fr.PinholeCamera.edge_matched(twice, large.shape[:2])).image
+    np.testing.assert_array_equal(read_picture("b.png").pixels, expected)
+    assert report.view.image_size == large.shape[:2]
+
+
 def test_rectifiers_can_be_sent_to_other_processes(here):
     camera = fr.FisheyeCamera.from_projection("equidistant", 120, SIZE)
-    rectifier = CalibratedRectifier(camera, fr.PinholeCamera.edge_matched(camera, SIZE))
+    rectifier = CalibratedRectifier(camera, ViewOptions())
     write_picture("a.png", Picture(np.zeros(SIZE, np.uint8)))
     pickle.loads(pickle.dumps(rectifier))(Task(Path("a.png"), Path("b.png")), on_frame=lambda done, total: None)
     assert read_picture("b.png").pixels.shape == SIZE

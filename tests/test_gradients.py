@@ -349,6 +349,17 @@ def test_nothing_is_kept_without_gradients(picture, lens_of_any_dtype):
     assert not out.requires_grad
 
 
+@pytest.mark.parametrize("which", [0, 1, 2, 3], ids=["image", "lens", "view", "rotation"])
+def test_forward_mode_says_no(picture, lens_of_any_dtype, which):
+    tensors = [picture(1, 1, 16, 16), *lens_of_any_dtype]
+
+    def straighten(tensor):
+        return run("rectify", [*tensors[:which], tensor, *tensors[which + 1 :]], (16, 16), (12, 12)).image
+
+    with pytest.raises(RuntimeError, match=r"expected derivatives in reverse mode; forward mode .* is not supported"):
+        torch.func.jvp(straighten, (tensors[which],), (torch.ones_like(tensors[which]),))
+
+
 def test_double_backward_says_no(picture, lens_of_any_dtype):
     params, view_params, rotation = (t.requires_grad_() for t in lens_of_any_dtype)
     image = picture(1, 1, 16, 16).requires_grad_()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image, ImageCms, ImageOps
 
-from fisheyerec.pictures import Picture, read_picture, write_picture
+from fisheyerec.pictures import Picture, decode, read_picture, write_picture
 
 SIZE = (20, 32)
 
@@ -141,3 +141,26 @@ def test_deep_colour_that_is_cut_off_is_broken(tmp_path, deep):
     (tmp_path / "a.png").write_bytes((tmp_path / "a.png").read_bytes()[:-500])
     with pytest.raises(ValueError, match="expected a complete picture"):
         read_picture(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".webp", ".tif", ".png"])
+def test_a_file_of_several_pictures_is_refused(tmp_path, suffix):
+    frames = [Image.fromarray(np.full((20, 32, 3), level, np.uint8)) for level in (0, 200)]
+    frames[0].save(tmp_path / f"two{suffix}", save_all=True, append_images=frames[1:])
+    with pytest.raises(ValueError, match=r"expected one picture, got .*two.* of 2 frames"):
+        read_picture(tmp_path / f"two{suffix}")
+
+
+def test_the_preview_in_a_photo_does_not_count(tmp_path):
+    frames = [Image.fromarray(np.full((20, 32, 3), level, np.uint8)) for level in (0, 200)]
+    frames[0].save(tmp_path / "photo.jpg", "MPO", save_all=True, append_images=frames[1:])
+    assert not read_picture(tmp_path / "photo.jpg").pixels.any()
+
+
+def test_floating_numbers_are_refused(tmp_path):
+    image = Image.fromarray(np.linspace(0, 1, 640, dtype=np.float32).reshape(20, 32))
+    image.save(tmp_path / "depth.tif")
+    with pytest.raises(ValueError, match=r"expected whole numbers, got .*depth\.tif"):
+        read_picture(tmp_path / "depth.tif")
+    with pytest.raises(ValueError, match="expected an image of whole numbers"):
+        decode(image)

@@ -18,7 +18,7 @@ from fisheyerec.rectifier import PhotoEstimate
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 
-from clips import CAMERA, SIZE, VIEW, decoded, make_clip, packets_of, psnr, turn_on_its_side, turned  # noqa: E402
+from clips import CAMERA, SIZE, decoded, make_clip, packets_of, psnr, turn_on_its_side, turned  # noqa: E402
 
 from fisheyerec import video  # noqa: E402
 
@@ -134,5 +134,5 @@ def test_samples_lie_evenly(clip):
 
 
 def test_settings_can_be_written_down():
-    for rectifier in (CalibratedRectifier(CAMERA, VIEW), BlindRectifier(ViewOptions(), weights=Path("a"))):
+    for rectifier in (CalibratedRectifier(CAMERA, ViewOptions()), BlindRectifier(ViewOptions(), weights=Path("a"))):
         json.dumps(rectifier.settings())

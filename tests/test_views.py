@@ -182,6 +182,8 @@ def test_rotations_are_made_of_three_turns():
 
 
 def test_rotations_of_many_angles_at_once():
+    with pytest.raises(ValueError, match=r"view_rotation\(\): expected finite angles, got inf, 0.0 and 0.0"):
+        fr.view_rotation(math.inf)
     pan = np.array([[0.0, 10, 20], [30, 40, 50]])
     many = fr.view_rotation(pan, tilt_deg=7)
     assert many.shape == (2, 3, 3, 3)

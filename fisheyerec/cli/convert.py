@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from .messages import fail
+from .estimating import OVERWRITE_HELP
+from .messages import check_new, fail
 from .sizes import parse_size
 
 MAX_FIT_ERROR_HELP = "The largest error, in pixels, that a lens of another model may be fitted with."
@@ -27,6 +28,7 @@ def convert(
     ] = "fisheyerec",
     size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT of the pictures, where the file does not say.")] = None,
     max_fit_error_px: Annotated[float, typer.Option(help=MAX_FIT_ERROR_HELP)] = 1.0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help=OVERWRITE_HELP)] = False,
 ) -> None:
     """Convert a lens file into another format, and a lens of another model into a Kannala-Brandt camera.
 
@@ -39,6 +41,7 @@ def convert(
     try:
         if output.exists() and output.samefile(camera):
             raise ValueError(f"expected an output other than the lens file itself, got {output}")
+        check_new([output], overwrite=overwrite)
         converted = load_camera(camera, image_size=parse_size(size), max_fit_error_px=max_fit_error_px)
         converted.save(output, format=format)
     except (ValueError, OSError) as error:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .estimating import REFINE_HELP, SAVE_CAMERA_HELP, WEIGHTS_HELP, check_save_camera, load_rectifier
+from .estimating import OVERWRITE_HELP, REFINE_HELP, SAVE_CAMERA_HELP, WEIGHTS_HELP, check_save_camera, load_rectifier
 from .messages import fail, for_each
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ def estimate(
     refine: Annotated[bool, typer.Option(help=REFINE_HELP)] = True,
     save_camera: Annotated[Path | None, typer.Option("--save-camera", "-o", help=SAVE_CAMERA_HELP)] = None,
     weights: Annotated[Path | None, typer.Option(help=WEIGHTS_HELP)] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help=OVERWRITE_HELP)] = False,
 ) -> None:
     """Estimate the lens of fisheye pictures from what they show: camera, confidence and straightness.
 
@@ -28,7 +29,7 @@ def estimate(
     from ..file_rectifiers import describe
 
     try:
-        check_save_camera(images, save_camera)
+        check_save_camera(images, save_camera, overwrite=overwrite)
         rectifier = load_rectifier(weights)
     except (ValueError, OSError) as error:
         raise fail("estimate", error) from error

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import typer
@@ -35,3 +35,11 @@ def for_each(command: str, images: list[Path], work: Callable[[Path], None]) -> 
     if failures:
         say(command, f"{failures} of {len(images)} pictures failed")
         raise typer.Exit(1)
+
+
+def check_new(targets: Sequence[Path], *, overwrite: bool) -> None:
+    """Refuse files that are there, unless they may be replaced."""
+    there = [] if overwrite else [target for target in targets if target.exists()]
+    if there:
+        others = f" and {len(there) - 1} others" if len(there) > 1 else ""
+        raise ValueError(f"expected a new file, or --overwrite, got {there[0]}{others}")

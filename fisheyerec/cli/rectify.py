@@ -13,8 +13,8 @@ import typer
 
 from .along import Annotations, FromTo, along, annotations_of, with_companions
 from .convert import MAX_FIT_ERROR_HELP
-from .estimating import REFINE_HELP, SAVE_CAMERA_HELP, WEIGHTS_HELP, check_save_camera
-from .messages import fail, say
+from .estimating import OVERWRITE_HELP, REFINE_HELP, SAVE_CAMERA_HELP, WEIGHTS_HELP, check_save_camera
+from .messages import check_new, fail, say
 from .progress import file_progress
 from .sizes import parse_size
 
@@ -99,7 +99,7 @@ def rectify(
             "belongs to) or HOST:PORT. All its machines must see the files under the same names.",
         ),
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help=OVERWRITE_HELP)] = False,
     resume: Annotated[
         bool,
         typer.Option("--resume", help="Leave out what manifest.jsonl in the folder says is done; redo what changed."),
@@ -113,7 +113,7 @@ def rectify(
     stays at the edge of the result, so nothing in it is empty.
     Whatever moves along takes the camera and the view of its picture. FROM and TO are files for one picture, and for
     several folders of the same relative paths, with other suffixes; of --annotations, one file for all.
-    A lens file describes pixels as they are stored, in videos too whose pixels are not square; the result's are.
+    A lens file describes pictures upright, as they are shown, and pixels that are not square as they are stored.
     A folder is searched to the bottom and made again below the output, with a record of what was done and with which
     camera, manifest.jsonl. A file that fails does not stop the rest: the exit status is 1 then.
     """
@@ -133,7 +133,7 @@ def rectify(
         companions = {"labels": labels, "mask": mask, "depth": depth, "distance": distance, "points": points}
         planned = with_companions(planned, companions)
         coco = annotations_of(planned, annotations)
-        check_save_camera([task.source for task in planned.tasks], save_camera)
+        check_save_camera([task.source for task in planned.tasks], save_camera, overwrite=overwrite)
         todo, manifest = planned.tasks, None
         count = jobs or min(os.cpu_count() or 1, len(todo))
         if camera is None:
@@ -150,7 +150,7 @@ def rectify(
         if resume and manifest is not None:
             settings = rectifier.settings()
             todo = [task for task in todo if not manifest.is_done(task, settings)]
-        if antialias or coco is not None or planned.tasks[0].companions:
+        if antialias or interpolation != "bilinear" or coco is not None or planned.tasks[0].companions:
             _refuse_videos(planned.tasks)
         files = [file for task in todo for file in task.files]
         if coco is not None:
@@ -274,8 +274,8 @@ def _calibrated(
     fisheye = FisheyeCamera.load(camera, max_fit_error_px=max_fit_error_px)
     if fit := describe_fit(fisheye):
         typer.echo(f"{camera}: {fit}")
-    view, rotation = options.view_of(fisheye), options.rotation()
-    return CalibratedRectifier(fisheye, view, rotation, interpolation, quality, threads, antialias)
+    options.view_of(fisheye)  # what is wrong with the options is told before anything is done
+    return CalibratedRectifier(fisheye, options, interpolation, quality, threads, antialias)
 
 
 def _blind(
@@ -298,7 +298,9 @@ def _refuse_videos(tasks: list[Task]) -> None:
 
     for task in tasks:
         if is_video(task.source):
-            raise ValueError(f"expected pictures with --antialias and with what moves along, got {task.source}")
+            raise ValueError(
+                f"expected pictures with --antialias, --interpolation nearest and what moves along, got {task.source}"
+            )
 
 
 def _check_files(tasks: list[Task], targets: list[Path], *, may_replace: bool) -> None:
@@ -311,7 +313,4 @@ def _check_files(tasks: list[Task], targets: list[Path], *, may_replace: bool) -
             picture_format_of(task.target)
     if any(is_video(task.source) for task in tasks):
         from .. import video  # noqa: F401  says what to install
-    there = [] if may_replace else [target for target in targets if target.exists()]
-    if there:
-        others = f" and {len(there) - 1} others" if len(there) > 1 else ""
-        raise ValueError(f"expected a new file, or --overwrite, got {there[0]}{others}")
+    check_new(targets, overwrite=may_replace)
