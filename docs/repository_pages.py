@@ -2,7 +2,7 @@
 
 README.md and its neighbours lie where the repository's page shows them; the site shows the same files, without copies.
 Every relative link is written for the repository. Here it becomes a link to the page of what it names, and a source
-file or a folder that has none is given one.
+file or a folder that has none is given one. A line that asks a command for its help becomes that help.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ PAGES = {
 }
 LANGUAGES = {".py": "python", ".cpp": "cpp", ".h": "cpp", ".json": "json", ".txt": "text"}
 LINK = re.compile(r"(?<=\]\()(?P<path>[^()\s#:]+)(?=[)#])")
+HELP = re.compile(r"^`fisheyerec (?P<command>\w+) --help`$", re.MULTILINE)
 
 uris: dict[Path, str] = {}
 """What the site has of the repository: path -> where in the site."""
@@ -48,10 +49,9 @@ def on_config(config: MkDocsConfig) -> None:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> None:
-    """Add the pages of the root, of the command line, and of the sources that are linked."""
+    """Add the pages of the root, and of the sources that are linked."""
     for source, uri in PAGES.items():
         files.append(File.generated(config, uri, abs_src_path=str(ROOT / source)))
-    files.append(File.generated(config, "reference/command-line.md", content=command_line()))
     uris.clear()
     uris.update({Path(f.abs_src_path): f.src_uri for f in files if f.abs_src_path})
     for page in [f for f in files.documentation_pages() if f.abs_src_path]:
@@ -77,7 +77,10 @@ def add_source(path: Path, files: Files, config: MkDocsConfig) -> None:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Turn links within the repository into links within the site; what leads nowhere is left for MkDocs to report."""
+    """Turn links within the repository into links within the site, and lines that ask for help into help.
+
+    What leads nowhere is left for MkDocs to report.
+    """
     if page.file.abs_src_path is None:
         return markdown
     here, folder = Path(page.file.abs_src_path), posixpath.dirname(page.file.src_uri)
@@ -86,27 +89,25 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         uri = uris.get(_target(here, link["path"]))
         return link["path"] if uri is None else posixpath.relpath(uri, folder or ".")
 
-    return LINK.sub(moved, markdown)
+    return HELP.sub(lambda line: help_of(line["command"]), LINK.sub(moved, markdown))
 
 
 def _target(here: Path, link: str) -> Path:
     return (here.parent / link).resolve()
 
 
-def command_line() -> str:
-    """The command line's own help, one section a command."""
+def help_of(name: str) -> str:
+    """A command's own help, its options as a table."""
     from fisheyerec.cli import app
 
-    command: Any = typer.main.get_command(app)
-    lines = ["# Command line", ""]
-    for name, sub in command.commands.items():
-        lines += [f"## fisheyerec {name}", "", sub.help, "", "| option | what it does |", "|---|---|"]
-        for parameter in sub.params:
-            names = parameter.metavar or parameter.name.upper()
-            if parameter.param_type_name == "option":
-                names = ", ".join([*parameter.opts, *parameter.secondary_opts])
-            lines.append(f"| `{names}` | {parameter.help or ''}{_default(parameter)} |")
-        lines.append("")
+    group: Any = typer.main.get_command(app)
+    command = group.commands[name]
+    lines = [command.help, "", "| option | what it does |", "|---|---|"]
+    for parameter in command.params:
+        names = parameter.metavar or parameter.name.upper()
+        if parameter.param_type_name == "option":
+            names = ", ".join([*parameter.opts, *parameter.secondary_opts])
+        lines.append(f"| `{names}` | {parameter.help or ''}{_default(parameter)} |")
     return "\n".join(lines)
 
 

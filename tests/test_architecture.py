@@ -58,6 +58,7 @@ ORDER = [
     "training",
     "demo",
     "cli",
+    "__main__",
 ]
 
 # Calibrated work on NumPy arrays and the command line start without torch: it may only be imported inside functions.
@@ -82,6 +83,7 @@ WITHOUT_TORCH = [
         "cluster",
         "demo",
         "cli",
+        "__main__",
     ),
 ]
 
@@ -95,7 +97,7 @@ ONLY_USED_BY = {
     "baselines": {"training", "cli"},
     "training": {"baselines", "cli"},
     "demo": {"cli"},
-    "cli": set(),
+    "cli": {"__main__"},
 }
 
 

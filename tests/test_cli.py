@@ -211,3 +211,8 @@ def test_a_calibrated_picture_never_imports_torch(tmp_path):
 def test_version_and_help():
     assert run("--version").stdout.strip() == fr.__version__
     assert "rectify" in run("--help").stdout
+
+
+def test_the_package_runs_as_a_module():
+    command = [sys.executable, "-P", "-m", "fisheyerec", "--version"]
+    assert subprocess.run(command, capture_output=True, text=True, timeout=60).stdout.strip() == fr.__version__

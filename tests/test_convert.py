@@ -81,6 +81,19 @@ def test_the_size_that_a_file_does_not_say(tmp_path):
     assert fr.FisheyeCamera.load(tmp_path / "out.json").image_size == (480, 640)
 
 
+def test_a_file_without_size_is_told_how_to_get_one(tmp_path):
+    (tmp_path / "opencv.yml").write_text(FISHEYE_WITHOUT_SIZE)
+    write_picture(tmp_path / "in.png", Picture(np.zeros((48, 64, 3), np.uint8)))
+    arguments = [tmp_path / "in.png", "-o", tmp_path / "out.png", "--camera"]
+    refused = command("rectify", *arguments, tmp_path / "opencv.yml")
+    assert (refused.returncode, len(refused.stderr.splitlines())) == (2, 1)
+    remedy = re.search(r"`fisheyerec (.+?)`", refused.stderr)[1].replace("WIDTHxHEIGHT", "640x480")
+    places = {"FILE": tmp_path / "opencv.yml", "lens.json": tmp_path / "lens.json"}
+    made = command(*[places.get(word, word) for word in remedy.split()])
+    assert made.returncode == 0, made.stderr
+    assert command("rectify", *arguments, tmp_path / "lens.json").returncode == 0
+
+
 def test_a_worse_fit_is_taken_where_the_user_says_so(tmp_path):
     (tmp_path / "ros.yaml").write_text(RATIONAL)
     refused = convert(tmp_path / "ros.yaml", "-o", tmp_path / "out.json")

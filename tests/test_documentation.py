@@ -1,4 +1,4 @@
-"""The reference in docs/reference has a place for every public name."""
+"""The reference in docs/reference has a place for every public name and command, and no page a dead link."""
 
 from __future__ import annotations
 
@@ -6,10 +6,16 @@ import ast
 import re
 from pathlib import Path
 
+import pytest
+from markdown_links import dead_links, links_of
+
 import fisheyerec as fr
+from fisheyerec.cli import app
 
 PACKAGE = Path(fr.__file__).parent
-REFERENCE = Path(__file__).resolve().parents[1] / "docs" / "reference"
+ROOT = Path(__file__).resolve().parents[1]
+REFERENCE = ROOT / "docs" / "reference"
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("fisheyerec/**/*.md")])
 
 # Of modules that users reach by their name; the others' public names are reached from fisheyerec itself.
 INTERNAL = {"fisheyerec.numpy.resample_named"}
@@ -41,3 +47,26 @@ def test_every_public_name_has_one_place_in_the_reference():
             f"fisheyerec.baselines.{method.stem}.{n}" for n in public_names(f"baselines/{method.name}") & {"estimate"}
         }
     assert expected - INTERNAL - set(names) == set()
+
+
+def test_every_command_has_one_place_in_the_reference():
+    page = (REFERENCE / "command-line.md").read_text(encoding="utf-8")
+    expected = [command.name or command.callback.__name__ for command in app.registered_commands]
+    assert re.findall(r"^## fisheyerec (\w+)$", page, re.M) == expected
+    assert re.findall(r"^`fisheyerec (\w+) --help`$", page, re.M) == expected
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_no_link_is_dead_in_the_repository(page):
+    assert dead_links(page) == []
+
+
+def test_a_dead_link_is_seen(tmp_path):
+    """A search that finds nothing would pass the test above."""
+    (tmp_path / "other.md").write_text("# Its title\n\n## A part, of it\n\n```sh\n# no part\n```\n")
+    page = tmp_path / "page.md"
+    page.write_text(
+        "[1](other.md#a-part-of-it) [2](other.md#no-part) [3](none.md) [4](#none) `[5](a)` [6](https://a.b)"
+    )
+    assert dead_links(page) == ["other.md#no-part", "none.md", "#none"]
+    assert sum(len(links_of(page)) for page in PAGES) > 100

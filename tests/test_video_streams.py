@@ -7,8 +7,9 @@ import pytest
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 
-from clips import CAMERA, VIEW, decoded, make_clip, packet, packets_of, times_of  # noqa: E402
+from clips import CAMERA, VIEW, decoded, make_clip, packet, packets_of, psnr, times_of  # noqa: E402
 
+import fisheyerec as fr  # noqa: E402
 from fisheyerec import video  # noqa: E402
 from fisheyerec.video import streams  # noqa: E402
 
@@ -42,6 +43,28 @@ def test_a_variable_frame_rate_is_kept(tmp_path, suffix):
     video.rectify_video(tmp_path / f"in{suffix}", tmp_path / f"out{suffix}", CAMERA, VIEW)
     np.testing.assert_allclose(times_of(tmp_path / f"in{suffix}"), times, atol=1e-3)
     assert times_of(tmp_path / f"out{suffix}") == times_of(tmp_path / f"in{suffix}")
+
+
+@pytest.mark.parametrize("source", [".mp4", ".mkv"])  # whose ticks are fine, and milliseconds
+def test_avi_keeps_a_constant_rate_and_the_order_of_frames(tmp_path, source):
+    make_clip(tmp_path / f"in{source}")
+    report = video.rectify_video(tmp_path / f"in{source}", tmp_path / "out.avi", CAMERA, VIEW)
+    assert "without" not in report.summary
+    np.testing.assert_allclose(np.diff(times_of(tmp_path / "out.avi")), 1 / 24, atol=1e-6)
+    for before, after in zip(decoded(tmp_path / f"in{source}"), decoded(tmp_path / "out.avi"), strict=True):
+        expected = fr.numpy.rectify(before, CAMERA, VIEW)
+        assert psnr(after[expected.valid], expected.image[expected.valid]) > 30
+
+
+def test_avi_puts_a_variable_rate_on_a_grid_and_says_so(tmp_path):
+    times = np.cumsum([0, 0.04, 0.04, 0.5, 0.01, 0.033, 0.2, 1.0, 0.04, 0.04])
+    make_clip(tmp_path / "in.mkv", times=times)
+    report = video.rectify_video(tmp_path / "in.mkv", tmp_path / "out.avi", CAMERA, VIEW)
+    assert (report.frames, report.summary.endswith(", without frame times")) == (10, True)
+    found = times_of(tmp_path / "out.avi")
+    assert len(found) == 10
+    assert (np.diff(found) > 0).all()
+    assert found[-1] - found[0] == pytest.approx(times[-1], abs=2 / 24)
 
 
 def test_time_stamps_rise_whatever_the_file_says():

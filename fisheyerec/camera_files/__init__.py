@@ -146,7 +146,10 @@ def _parse(text: str) -> Lens:
 def _given_size(image_size: tuple[int, int] | None) -> tuple[int, int]:
     """(width, height) of the caller's (height, width); raises ValueError if there is none."""
     if image_size is None:
-        raise ValueError("expected image_size=(height, width), as the file holds no size, got None")
+        raise ValueError(
+            "expected image_size=(height, width), as the file holds no size, got None; "
+            "`fisheyerec convert FILE --size WIDTHxHEIGHT -o lens.json` makes one that does"
+        )
     if len(image_size) != 2:
         raise ValueError(f"image_size: expected (height, width), got {image_size!r:.60}")
     height, width = image_size

@@ -28,7 +28,7 @@ from ..cameras import Camera, FisheyeCamera
 from ..replacement import replacement
 from .frames import quarter_turns, rectified, upright_size
 from .reading import Damage, ahead, decoded, open_clip, picture_of, read
-from .streams import Clock, CopiedStreams, add_encoder, create
+from .streams import CopiedStreams, FrameTimes, add_encoder, create
 
 DEFAULT_QUALITY = 60
 """A constant rate factor of 20 for H.264 and HEVC."""
@@ -62,9 +62,10 @@ def rectify_video(
     """Rectify the picture of a video file, with time stamps as they are, variable frame rates included.
 
     Written in 4:2:0, with 8 bits as H.264, with more as HEVC of 10 or 12 bits; in AVI as H.264, in WebM as VP9, of 10
-    and 8 bits at most. Colours keep their range, primaries and transfer; of HDR10 the mastering display is left out, as
-    alpha is. What else the file holds is taken over where the container can hold it, and what is left out is told; so
-    are chapters and what the file says about itself. What is left of a broken file is written, and told.
+    and 8 bits at most. AVI counts frames instead of timing them: there a variable rate is put on a constant one, which
+    is told. Colours keep their range, primaries and transfer; of HDR10 the mastering display is left out, as alpha is.
+    What else the file holds is taken over where the container can hold it, and what is left out is told; so are
+    chapters and what the file says about itself. What is left of a broken file is written, and told.
 
     Args:
         source: the file.
@@ -86,18 +87,18 @@ def rectify_video(
         raise ValueError(f"rectify_video(): expected a view of even width and height, got {width}x{height}")
     if quality is not None and not 1 <= quality <= 100:
         raise ValueError(f"rectify_video(): expected quality in [1, 100], got {quality}")
-    start, frames, damage, clock = time.perf_counter(), 0, Damage(), Clock()
+    start, frames, damage = time.perf_counter(), 0, Damage()
     with open_clip(source) as clip, replacement(target) as temporary, create(temporary) as out:
         video = picture_of(clip)
         encoder, depth, depth_lost = add_encoder(out, video, view, quality or DEFAULT_QUALITY)
-        copied = CopiedStreams(clip, out, remade=video)
+        copied, times = CopiedStreams(clip, out, remade=video), FrameTimes(encoder.codec_context.time_base)
         total = video.frames or None
         with contextlib.closing(ahead(rectified(ahead(read(clip, damage)), camera, view, rotation, depth))) as items:
             for item in items:
                 if isinstance(item, av.Packet):
                     copied.mux(item)
                     continue
-                item.pts = clock.next(item.pts)
+                times.stamp(item)
                 out.mux(encoder.encode(item))
                 frames += 1
                 on_frame(frames, total)
@@ -110,6 +111,7 @@ def rectify_video(
         duration = None if clip.duration is None else clip.duration / av.time_base
     seconds = time.perf_counter() - start
     lost = [*([f"{depth_lost} of {depth + depth_lost} bits"] if depth_lost else []), *copied.left_out()]
+    lost += [] if times.are_kept else ["frame times"]
     summary = f"{frames} frames, {frames / seconds:.1f} a second{', without ' if lost else ''}{' and '.join(lost)}"
     return VideoReport(frames, seconds, summary, damage.complaint(source, duration))
 

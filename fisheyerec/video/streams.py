@@ -64,15 +64,19 @@ def add_encoder(out: Any, video: Any, view: Camera, quality: int) -> tuple[Any, 
     # The shallowest that is deep enough, else the deepest.
     chosen = min(usable, key=lambda encoder: (encoder.depth < context_depth, abs(encoder.depth - context_depth)))
     rate = video.average_rate or video.guessed_rate or Fraction(30)
-    crf = round(chosen.worst * (1 - quality / 100))
-    stream = out.add_stream(chosen.library, rate=rate, options={**chosen.options, "crf": str(crf)})
+    options = {**chosen.options, "crf": str(round(chosen.worst * (1 - quality / 100)))}
+    # AVI numbers its frames in the order of decoding, so that none may wait for a later one.
+    has_times = out.format.name != "avi"
+    if not has_times:
+        rate, options["bf"] = video.guessed_rate or rate, "0"
+    stream = out.add_stream(chosen.library, rate=rate, options=options)
     stream.height, stream.width = view.image_size
     stream.pix_fmt, stream.bit_rate = planar_format(chosen.depth), 0
     stream.metadata.update({key: text for key, text in video.metadata.items() if key.lower() in _OF_THE_SCENE})
     context = stream.codec_context
     if chosen.codec == "hevc" and out.format.name in ("mp4", "mov"):
         context.codec_tag = "hvc1"  # the one that Apple's players know
-    context.time_base = video.time_base
+    context.time_base = video.time_base if has_times else 1 / rate
     fx, fy = (float(focal) for focal in view.numpy().params[:2])
     context.sample_aspect_ratio = Fraction(fy / fx).limit_denominator(255)
     context.color_primaries, context.color_trc = seen.color_primaries, seen.color_trc
@@ -146,6 +150,27 @@ class Clock:
             stamp = self._follows
         self._last, self._follows = stamp, stamp + duration
         return stamp
+
+
+class FrameTimes:
+    """Puts frames on the ticks of an encoder, which are those of the source but where a container only counts frames.
+
+    Args:
+        tick: in seconds.
+    """
+
+    def __init__(self, tick: Fraction) -> None:
+        self.are_kept = True
+        """Whether every frame lies where it did, to a tick of the source."""
+        self._tick, self._clock = tick, Clock()
+
+    def stamp(self, frame: Any) -> None:
+        """Put a frame on the nearest tick after that of the frame before."""
+        at = None if frame.pts is None else frame.pts * frame.time_base / self._tick
+        stamp = self._clock.next(None if at is None else round(at))
+        if at is not None and abs(stamp - at) * self._tick > frame.time_base:
+            self.are_kept = False
+        frame.pts, frame.time_base = stamp, self._tick
 
 
 def _is_written_by_container(stream: Any, clip: Any) -> bool:

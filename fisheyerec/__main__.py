@@ -1,0 +1,5 @@
+"""`python -m fisheyerec`."""
+
+from .cli import main
+
+main()
