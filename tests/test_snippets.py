@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs" / "guide").glob("*.md"))]
 
 # How many blocks of each page do not run here. The README's installation is what .ci/run begins with.
-NOT_RUN = {"README.md": 1, "cpp.md": 2, "demo.md": 1, "recover-a-lens.md": 1, "training.md": 1}
+NOT_RUN = {"README.md": 1, "clusters.md": 1, "cpp.md": 2, "demo.md": 1, "recover-a-lens.md": 1, "training.md": 1}
 
 BLOCK = re.compile(r"^(?:<!-- not run: (?P<reason>[^\n]+) -->\n)?```(?P<language>\w*)\n(?P<code>.*?)^```$", re.M | re.S)
 CLAIM = re.compile(r"# (?P<claim>[-(\[]*(?:\d|'|nan\b|True\b|False\b|None\b|torch\.|u?int\d).*)")
