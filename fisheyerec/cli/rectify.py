@@ -109,11 +109,15 @@ def rectify(
     """Make fisheye pictures and videos straight: with the lens file of a calibrated camera, or by what each shows.
 
     Without --camera, what has no fisheye distortion is written as it is.
+
     Without --view, --fov-deg, --focal or --balance the view is edge-matched: the nearest edge of the fisheye picture
     stays at the edge of the result, so nothing in it is empty.
+
     Whatever moves along takes the camera and the view of its picture. FROM and TO are files for one picture, and for
     several folders of the same relative paths, with other suffixes; of --annotations, one file for all.
+
     A lens file describes pictures upright, as they are shown, and pixels that are not square as they are stored.
+
     A folder is searched to the bottom and made again below the output, with a record of what was done and with which
     camera, manifest.jsonl. A file that fails does not stop the rest: the exit status is 1 then.
     """
