@@ -201,7 +201,8 @@ def _outcomes(tasks: Sequence[Task], rectifier: FileRectifier, jobs: int | None)
             end = time.monotonic() + _LAST_PICTURE_WITHIN
             while time.monotonic() < end and ray.get(ledger.in_hand.remote()) > 0:
                 time.sleep(0.05)
-            reader.submit(rows.close).result()  # before Ray is shut down, lest it starts again to tidy up
+            # Before Ray is shut down, lest it starts again to tidy up; what it says then must not hide a Ctrl-C.
+            reader.submit(rows.close).exception()
 
 
 def _batches(tasks: Sequence[Task], workers: int) -> list[list[Task]]:

@@ -164,6 +164,23 @@ def test_a_run_that_is_given_up_breaks_off_videos_and_begins_nothing_new(two_wor
     assert os.listdir("out") == ["0.mp4"]
 
 
+def test_ctrl_c_stays_one_whatever_ray_says_as_it_is_closed(two_workers, here, monkeypatch):
+    whole = cluster.ray.data.Dataset.iter_batches
+
+    def untidy(*args, **kwargs):
+        try:
+            yield from whole(*args, **kwargs)
+        finally:
+            raise RuntimeError("untidy")
+
+    monkeypatch.setattr(cluster.ray.data.Dataset, "iter_batches", untidy)
+    Path("out").mkdir()
+    outcomes = cluster.run([Task(Path(f"{n}.mp4"), Path(f"out/{n}.mp4")) for n in range(3)], Endless())
+    next(outcomes)
+    with pytest.raises(KeyboardInterrupt):
+        outcomes.throw(KeyboardInterrupt)
+
+
 # --- Clusters that will not do --------------------------------------------------------------------
 
 
@@ -250,8 +267,8 @@ def test_what_a_dead_driver_leaves_is_whole_and_one_process_does_the_rest(tree, 
         for _ in range(4):
             assert "valid" in process.stdout.readline()
         process.send_signal(number)
-        _, said = process.communicate(timeout=300)
-        assert process.returncode == code, said
+        rest, said = process.communicate(timeout=300)
+        assert process.returncode == code, f"{said}\nafter {rest.count('valid') + 4} pictures"
         if number == signal.SIGINT:
             *others, last = said.splitlines()
             assert re.fullmatch(r"fisheyerec rectify: interrupted after \d+ of 73 files", last)
