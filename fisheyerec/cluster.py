@@ -61,6 +61,7 @@ _OBJECT_STORE_BYTES = 80 << 20  # about the least that Ray takes: names of files
 _LARGEST_BATCH = 16  # files: to hand over several costs Ray little more than one, but a lost batch is done again
 _BATCHES_A_WORKER = 8  # at least, so that all end at about the same time
 _LAST_PICTURE_WITHIN = 30  # s, after the run was given up
+_READING_THREADS, _LAST_READ_WITHIN = ("StreamingExecutor", "iter_threaded"), 10  # names that Ray Data gives; s
 _FRAMES_BETWEEN_LOOKS = 32  # whether the run is over
 
 
@@ -100,6 +101,10 @@ def connected(address: str, jobs: int | None) -> Iterator[None]:
     try:
         yield
     finally:
+        # Ray ends this process, with status 1, where one of its threads still reads as the cluster is taken down.
+        for thread in threading.enumerate():
+            if thread.name.startswith(_READING_THREADS):
+                thread.join(_LAST_READ_WITHIN)
         ray.shutdown()
 
 
