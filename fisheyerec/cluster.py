@@ -92,7 +92,8 @@ def connected(address: str, jobs: int | None) -> Iterator[None]:
         match = _ADDRESS.fullmatch(address)
         if match is not None and match["host"] is not None:
             socket.create_connection((match["host"], int(match["port"])), _REACHABLE_WITHIN).close()
-        with _silent_stderr():
+        # Workers look for modules in the folder that Ray is started from, which may be one of the sources.
+        with _silent_stderr(), contextlib.chdir(os.sep):
             ray.init(address=address, **options)
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))  # where Ray has hung a stack trace
